@@ -114,8 +114,9 @@ class AnalysisTables(ModelTables):
     @property
     def timed(self) -> bool:
         """Time passes [s]: in motion, and in statics where materials relax."""
-        relax = any(material.law.relaxes for material in self.materials.values())
-        return self.dynamics is not None or (relax and not self.gives_modes)
+        memories = [material.law.memory for material in self.materials.values()]
+        timed = any(memory is not None and memory.timed for memory in memories)
+        return self.dynamics is not None or (timed and not self.gives_modes)
 
     @property
     def final_load(self) -> float:

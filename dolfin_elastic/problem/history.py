@@ -1,4 +1,4 @@
-"""What a body remembers of its past, where its materials relax.
+"""What a body remembers of its past, where its materials do.
 
 Nothing of a trial is stored: the stress is a function of F, of the history as it was committed
 last, and of the time since then.  Tried and rejected steps, line searches and retries leave no
@@ -9,13 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from itertools import count
-from typing import cast
 
 import basix
 import basix.ufl
 import numpy as np
 import ufl
 from dolfinx import fem
+from ufl.core.expr import Expr
 
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.jit import compile_forms, options
@@ -25,109 +25,127 @@ from dolfin_elastic.core.timing import stage
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.mesh.body import Body
 from dolfin_elastic.model.materials.growth import GrownLaw
-from dolfin_elastic.model.materials.prony import Relaxed, Relaxing, overstress
+from dolfin_elastic.model.materials.memory import Memory
+from dolfin_elastic.model.materials.stepped import SteppedLaw
 from dolfin_elastic.problem.context import FormContext
 from dolfin_elastic.problem.material_regions import MaterialRegion
 from dolfin_elastic.problem.weak_form import WeakForm
 
-PERIODIC = "a periodic cell of materials that relax is not computed"
-NO_PRONY = "leave out `prony`, or the cell"
-ROW = ((0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (0, 2))
-"""Components of a symmetric tensor, in the order of the six numbers that are stored."""
-TENSOR = ((0, 3, 5), (3, 1, 4), (5, 4, 2))
+PERIODIC = "a periodic cell of materials that remember is not computed"
+NO_MEMORY = "materials without `prony` or plasticity, or no cell"
 
 
-class RelaxingRegion:
+class RegionHistory:
     """The history of one material region. Collective to make.
 
-    Tensors are polynomials in each cell, discontinuous, of the least degree that takes any values
-    at the points of integration: there they are exact, and the stress has a value everywhere.
+    Its values are polynomials in each cell, discontinuous, of the least degree that takes any
+    values at the points of integration: there they are exact, and the stress has a value
+    everywhere.
 
     Args:
         degree: Of the quadrature of the region's internal forces.
 
     Attributes:
+        memory: What the region's law remembers.
         law: The region's law over a step.
         points: Of the reference cell, shape (points, dim).
-        tensors: Six numbers at each node of the region's owned cells [Pa], shape (1 + terms, nodes,
-            6): S, then h of each term, as `model.materials.prony` has them.
+        values: Of the variables, at the nodes of the region's owned cells.
     """
 
     def __init__(self, body: Body, region: MaterialRegion, degree: int) -> None:
         mesh, kind = body.mesh, body.mesh.basix_cell()
-        law = cast("Relaxing", region.law)
+        memory = region.law.memory
+        assert memory is not None
+        self.memory: Memory = memory
         self.points = basix.make_quadrature(kind, degree)[0]
         for order in count():
             table = basix.ufl.element("DG", kind, order).tabulate(0, self.points)[0]
             if np.linalg.matrix_rank(table) == len(self.points):
                 break
         self._to_nodes = np.linalg.pinv(table)
-        V = fem.functionspace(mesh, ("DG", order, (6,)))
         self._cells = region.cells
-        self._rows = V.dofmap.list[region.cells].reshape(-1)
-        self._past = fem.Function(V)
-        self._instant = fem.Constant(mesh, 1.0)
-        self._g = np.array([term.g for term in law.prony])
-        self._tau = np.array([term.tau for term in law.prony])
-        past = ufl.as_matrix([[self._past[i] for i in row] for row in TENSOR])
-        self._lasting = fem.Constant(mesh, 1.0)
-        self.law = Relaxed(law, self._instant, self._lasting, past)
-        self.tensors: FloatArray = np.zeros((1 + len(self._g), len(self._rows), 6))
+        self._spaces = {
+            size: fem.functionspace(mesh, ("DG", order, (size,)))
+            for size in {v.size for v in (*memory.variables, *memory.seen)}
+        }
+        dofmap = next(iter(self._spaces.values())).dofmap
+        self._rows = dofmap.list[region.cells].reshape(-1)
+        self._past = {v.name: fem.Function(self._spaces[v.size]) for v in memory.seen}
+        numbers = memory.step(0.0, passes=False)
+        self._step = {name: fem.Constant(mesh, value) for name, value in numbers.items()}
+        past = {v.name: v.value(self._past[v.name]) for v in memory.seen}
+        law = memory.over_step(past, self._step)
+        assert isinstance(law, SteppedLaw)
+        self.law = law
+        self.values: dict[str, FloatArray] = {}
+        self.reset()
 
-    def _weights(self, dt: float) -> tuple[FloatArray, FloatArray]:
-        """e and f of each term, see `model.materials.prony`."""
-        x = dt / self._tau
-        return np.exp(-x), -np.expm1(-x) / x if dt > 0.0 else np.ones_like(x)
+    def reset(self) -> None:
+        """The body at rest. Not collective."""
+        self.values = {
+            v.name: np.tile(v.at_start, (len(self._rows), 1)) for v in self.memory.variables
+        }
 
-    def let_relax(self, *, relaxing: bool) -> None:
-        """Sets what is left after a long time: all, if no time passes. Not collective."""
-        self._lasting.value = 1.0 - float(self._g.sum()) if relaxing else 1.0
+    def begin_step(self, dt: float, *, passes: bool) -> None:
+        """Sets the law over a step from the history, of a length [s]. Not collective.
 
-    def begin_step(self, dt: float) -> None:
-        """Sets the law over a step from the history, of a length [s]. Not collective."""
-        e, f = self._weights(dt)
-        self._instant.value = 1.0 - self._g @ (1.0 - f)
-        past = np.tensordot(self._g * e, self.tensors[1:], 1) - (self._g @ f) * self.tensors[0]
-        self._past.x.array.reshape(-1, 6)[self._rows] = past
+        Args:
+            passes: See `Memory.step`.
+        """
+        for name, value in self.memory.step(dt, passes=passes).items():
+            self._step[name].value = value
+        for name, values in self.memory.fold(self.values, dt).items():
+            function = self._past[name]
+            function.x.array.reshape(len(function.x.array) // values.shape[1], -1)[self._rows] = (
+                values
+            )
 
-    def commit(self, stress: CellExpression, dt: float) -> None:
+    def numbers_at_end(self, law: SteppedLaw, F: Expr) -> Expr:
+        """All that `commit` takes, as one UFL vector."""
+        found = law.at_end(F)
+        return ufl.as_vector([x for v in self.memory.found for x in v.numbers(found[v.name])])
+
+    def commit(self, numbers: CellExpression, dt: float) -> None:
         """Takes over the present state at the end of a step. Not collective.
 
         Args:
-            stress: Six numbers of S at the points.
+            numbers: Of `numbers_at_end`, at the points.
             dt: Length of the step [s].
         """
-        result = stress.eval(self._cells).reshape(len(self._cells), len(self.points), 6)
-        now = np.einsum("nk,ckj->cnj", self._to_nodes, result).reshape(-1, 6)
-        e, f = self._weights(dt)
-        self.tensors[1:] *= e[:, None, None]
-        self.tensors[1:] += f[:, None, None] * (now - self.tensors[0])
-        self.tensors[0] = now
+        found = self.memory.found
+        size = sum(v.size for v in found)
+        result = numbers.eval(self._cells).reshape(len(self._cells), len(self.points), size)
+        now = np.einsum("nk,ckj->cnj", self._to_nodes, result).reshape(-1, size)
+        parts = np.split(now, np.cumsum([v.size for v in found])[:-1], axis=1)
+        by_name = {v.name: part for v, part in zip(found, parts, strict=True)}
+        followed = self.memory.follow(self.values, by_name, dt)
+        self.values = {name: np.array(values) for name, values in followed.items()}
 
-    def functions(self) -> list[fem.Function]:
-        """The tensors as functions, 0 outside of the region: copies."""
-        result = []
-        for rows in self.tensors:
-            result.append(fem.Function(self._past.function_space))
-            result[-1].x.array.reshape(-1, 6)[self._rows] = rows
+    def functions(self) -> dict[str, fem.Function]:
+        """The variables as functions, 0 outside of the region: copies."""
+        result = {}
+        for v in self.memory.variables:
+            result[v.name] = fem.Function(self._spaces[v.size])
+            result[v.name].x.array.reshape(-1, v.size)[self._rows] = self.values[v.name]
         return result
 
-    def take(self, functions: list[fem.Function]) -> None:
+    def take(self, functions: Mapping[str, fem.Function]) -> None:
         """Takes over what `functions` gave."""
-        for rows, function in zip(self.tensors, functions, strict=True):
-            rows[:] = function.x.array.reshape(-1, 6)[self._rows]
+        for v in self.memory.variables:
+            self.values[v.name] = functions[v.name].x.array.reshape(-1, v.size)[self._rows]
 
 
 class History:
-    """The history of a problem whose materials relax. Collective to make.
+    """The history of a problem whose materials remember. Collective to make.
 
-    Until `begin` no time passes: the laws are those of a sudden load.
+    Until `begin` no time passes: laws that depend on it are those of a sudden load.
 
     Args:
         weak_form: Whose laws become those over a step.
         grows: There is growth or warmth, which stores energy of its own.
 
     Attributes:
+        timed: A material depends on how long a step takes.
         uncertainty: By how much the work of the last committed step may be wrong [J]: half the
             change of forces times the change of displacement.
 
@@ -137,21 +155,23 @@ class History:
 
     def __init__(self, context: FormContext, weak_form: WeakForm, *, grows: bool) -> None:
         if context.unknowns.U is not context.unknowns.V:
-            raise InputError(PERIODIC, where="periodic", expected=NO_PRONY)
+            raise InputError(PERIODIC, where="periodic", expected=NO_MEMORY)
         self._context, self._weak_form, self._grows = context, weak_form, grows
         self._comm, self._w = context.body.comm, context.unknowns.w
         self._regions = {
-            region.name: RelaxingRegion(context.body, region, weak_form.rule(region))
+            region.name: RegionHistory(context.body, region, weak_form.rule(region))
             for region in context.regions
-            if region.law.relaxes
+            if region.law.memory is not None
         }
-        weak_form.relaxed.update({name: part.law for name, part in self._regions.items()})
+        self.timed = any(part.memory.timed for part in self._regions.values())
+        weak_form.stepped.update({name: part.law for name, part in self._regions.items()})
         self._t: float | None = None  # of the past that is committed
         self._now = 0.0
         self._step: float | None = None
         self._work = self.uncertainty = 0.0
-        self._stresses: dict[str, CellExpression] = {}
+        self._at_end: dict[str, CellExpression] = {}
         self._branches: fem.Form | None = None
+        self._lost: fem.Form | None = None
         self._before: tuple[FloatArray, FloatArray] = (np.empty(0), np.empty(0))
 
     @property
@@ -166,43 +186,50 @@ class History:
         if step != self._step:
             self._step = step
             for part in self._regions.values():
-                part.begin_step(step)
+                part.begin_step(step, passes=self.passes)
+
+    def reset(self) -> None:
+        """The body at rest: forgets all, and no time passes until `begin`. Local."""
+        for part in self._regions.values():
+            part.reset()
+        self.forget()
 
     def forget(self) -> None:
-        """Forgets the past: no time passes until `begin`. Local."""
+        """Forgets what depends on time, of which none passes until `begin`. Local."""
         for part in self._regions.values():
-            part.tensors[:] = 0.0
-            part.let_relax(relaxing=False)
+            if part.memory.timed:
+                part.reset()
         self._t, self._step, self._work, self.uncertainty = None, None, 0.0, 0.0
         self.set_time(self._now)
 
     def begin(self, t: float = 0.0) -> None:
-        """Forgets the past: time passes from here, at the present state. Collective."""
+        """Time passes from here, at the present state: forgets what depends on it. Collective."""
         self.forget()
         self._begin_at(t, 0.0)
 
-    def _begin_at(self, t: float, work: float) -> None:
-        self._compile()
-        for part in self._regions.values():
-            part.let_relax(relaxing=True)
+    def _begin_at(self, t: float | None, work: float) -> None:
         self._t, self._step, self._work = t, None, work
-        self.set_time(t)
-        self._before = self._forces(), self._w.x.array.copy()
+        self.set_time(self._now if t is None else t)
+        if self.passes:
+            self._compile()
+            self._before = self._forces(), self._w.x.array.copy()
 
     def _compile(self) -> None:
-        """Compiles S of each region and the forces of all branches, once. Collective."""
-        if self._stresses:
+        """Compiles what is evaluated at the end of a step, once. Collective."""
+        if self._at_end:
             return
         jit, w, F = options(self._comm), self._w, self._weak_form.F(self._w)
         for region in self._context.regions:
             if (part := self._regions.get(region.name)) is not None:
                 response = self._weak_form.response(region, w)
                 elastic = response.elastic(F) if isinstance(response, GrownLaw) else F
-                S = overstress(part.law.law, elastic)
-                six = ufl.as_vector([S[i, j] for i, j in ROW])
-                self._stresses[region.name] = CellExpression(six, part.points, w, jit)
+                numbers = part.numbers_at_end(part.law, elastic)
+                self._at_end[region.name] = CellExpression(numbers, part.points, w, jit)
+        forms = [self._weak_form.branches, self._weak_form.lost]
+        made = iter(compile_forms(self._comm, [f for f in forms if not f.empty()], jit))
         if not self._grows:
-            self._branches = compile_forms(self._comm, [self._weak_form.relaxing], jit)[0]
+            self._branches = None if forms[0].empty() else next(made)
+            self._lost = None if forms[1].empty() else next(made)
 
     def _forces(self) -> FloatArray:
         """This rank's share of the nodal forces of the branches, not summed over ranks [N]."""
@@ -219,6 +246,19 @@ class History:
         """
         return self._work + self._over_step()[0]
 
+    def spent(self) -> dict[str, float]:
+        """What the stored energy does not contain, by account [J]. Collective.
+
+        "relaxing": see `work`; "dissipated": what has become heat since the beginning.
+        """
+        self._compile()
+        result = {}
+        if self.timed and self.passes:
+            result["relaxing"] = self.work()
+        if self._lost is not None:
+            result["dissipated"] = total(self._comm, float(fem.assemble_scalar(self._lost)))
+        return result
+
     def _over_step(self) -> tuple[float, float]:
         """Work of the present step, and by how much it may be wrong [J]. Collective."""
         if self._t is None or self._branches is None:
@@ -232,22 +272,24 @@ class History:
     @stage("assemble")
     def commit(self) -> None:
         """Makes the present state, at the present time, the past. Collective."""
-        if self._t is None or self._step is None:
+        if self._step is None:
             return
+        self._compile()
         work, self.uncertainty = self._over_step()
         self._work += work
         for name, part in self._regions.items():
-            part.commit(self._stresses[name], self._step)
-        self._begin_at(self._now, self._work)
+            if self.passes or not part.memory.timed:
+                part.commit(self._at_end[name], self._step)
+        self._begin_at(self._now if self.passes else None, self._work)
 
     # --- restarts ---
 
     def fields(self) -> dict[str, fem.Function]:
         """Name to function, in spaces of discontinuous elements, as `RestartState` has them."""
         return {
-            f"history {i + 1}.{k}": function
+            f"history {i + 1}.{name}": function
             for i, part in enumerate(self._regions.values())
-            for k, function in enumerate(part.functions())
+            for name, function in part.functions().items()
         }
 
     def restart_state(self) -> dict[str, float]:
@@ -261,5 +303,5 @@ class History:
             fields: As `fields` names them, filled; others are left out.
         """
         for i, part in enumerate(self._regions.values()):
-            part.take([fields[f"history {i + 1}.{k}"] for k in range(len(part.tensors))])
+            part.take({v.name: fields[f"history {i + 1}.{v.name}"] for v in part.memory.variables})
         self._begin_at(saved["t"], saved["work"])

@@ -139,7 +139,7 @@ class Problem(Shown):
         eigenstrains: Material's name to its growth Fg (UFL), of those that grow.
         terms: Springs, dashpots, contacts, loads at points, cavities, rigid surfaces, and what else
             acts on the body.
-        history: What materials that relax remember; None without any.
+        history: What materials remember; None where none does.
         nodal_loads: Forces at points and along lines, which have no UFL form; None without any.
         constant: Makes a UFL constant: a new value of it needs no new compilation.
         t: UFL constant with the time, used by formulas.
@@ -465,7 +465,7 @@ def _history(problem: Problem) -> History | None:
     Raises:
         InputError: A periodic cell.
     """
-    if not any(region.law.relaxes for region in problem.regions):
+    if all(region.law.memory is None for region in problem.regions):
         return None
     from dolfin_elastic.problem.history import History
 

@@ -8,7 +8,7 @@ Motion adds inertia to the same sum.  Source: Bonet & Wood (2008), (5.41).
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
@@ -30,7 +30,7 @@ from dolfin_elastic.model.loads import Load
 from dolfin_elastic.model.materials.growth import GrownLaw
 from dolfin_elastic.model.materials.law import Law, ModifiedLaw, SplitLaw
 from dolfin_elastic.model.materials.mixed import Mixed, variance
-from dolfin_elastic.model.materials.prony import Relaxed
+from dolfin_elastic.model.materials.stepped import SteppedLaw
 from dolfin_elastic.problem.context import FormContext
 from dolfin_elastic.problem.material_regions import MaterialRegion
 from dolfin_elastic.problem.term import Term
@@ -64,7 +64,7 @@ class WeakForm:
 
     Attributes:
         start: Internal forces are those of a time step; None: of a state.
-        relaxed: Region's name to its law over a step, of those that a `History` has put here.
+        stepped: Region's name to its law over a step, of those that a `History` has put here.
     """
 
     def __init__(
@@ -82,7 +82,7 @@ class WeakForm:
         self._eigenstrains, self._quadrature_degree = eigenstrains, quadrature_degree
         self._responses: dict[str, Law | ModifiedLaw] = {}
         self.start: StepStart | None = None
-        self.relaxed: dict[str, Relaxed] = {}
+        self.stepped: dict[str, SteppedLaw] = {}
 
     def F(self, w: Expr) -> Expr:
         """The 3x3 deformation gradient of a function of all unknowns."""
@@ -131,7 +131,7 @@ class WeakForm:
         present = w is self._unknowns.w and pressure is None
         if present and region.name in self._responses:
             return self._responses[region.name]
-        law: Law | ModifiedLaw = self.relaxed.get(region.name, region.law)
+        law: Law | ModifiedLaw = self.stepped.get(region.name, region.law)
         if region.compliance is not None:
             p = self._unknowns.auxiliary("pressure", w) if pressure is None else pressure
             split, keeps = cast("SplitLaw", law), _keeps_volume(self._context, region)
@@ -166,15 +166,28 @@ class WeakForm:
         return gradient_variation(context.geometry, unknowns.displacement(dw), context.X, stretch)
 
     @property
-    def relaxing(self) -> ufl.Form:
-        """Of the internal virtual work that part which relaxes."""
-        F, dF = self.F(self._unknowns.w), self._variation(ufl.TestFunction(self._unknowns.W))
-        return sum(
-            ufl.inner(self.relaxed[region.name].branch_stress(F), dF)
-            * self.volume(region, self.rule(region))
-            for region in self._regions
-            if region.name in self.relaxed
-        )
+    def branches(self) -> ufl.Form:
+        """Of the internal virtual work that of `SteppedLaw.branch_stress`; may be empty."""
+        dF, form = self._variation(ufl.TestFunction(self._unknowns.W)), ufl.Form([])
+        for region, law, F in self._stepped():
+            if (stress := law.branch_stress(F)) is not None:
+                form += ufl.inner(stress, dF) * self.volume(region, self.rule(region))
+        return form
+
+    @property
+    def lost(self) -> ufl.Form:
+        """What the materials have dissipated since the beginning [J]; may be empty."""
+        form = ufl.Form([])
+        for region, law, F in self._stepped():
+            if (density := law.lost(F)) is not None:
+                form += density * self.volume(region, self.rule(region))
+        return form
+
+    def _stepped(self) -> Iterator[tuple[MaterialRegion, SteppedLaw, Expr]]:
+        F = self.F(self._unknowns.w)
+        for region in self._regions:
+            if region.name in self.stepped:
+                yield region, self.stepped[region.name], F
 
     def _pressure_terms(self, region: MaterialRegion, F: Expr, q: Expr) -> ufl.Form:
         """The pressure's equation in a region.
@@ -347,7 +360,7 @@ class WeakForm:
 
 def derives_from_strain(law: Law) -> bool:
     """Whether the energy of a law is a function of C, so that `StepLaw` conserves it."""
-    return law.has_energy and law.frame_indifferent and not (law.linear or law.relaxes)
+    return law.has_energy and law.frame_indifferent and law.memory is None and not law.linear
 
 
 def weak_form_over_step(form: WeakForm, start: StepStart) -> WeakForm:

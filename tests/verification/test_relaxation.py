@@ -407,7 +407,7 @@ def test_statics_refuses(keys: dict[str, Any], where: str) -> None:
 
 @pytest.mark.parametrize("scheme", ["central-differences", "alpha2"])
 def test_motion_refuses(scheme: str) -> None:
-    with pytest.raises(InputError, match="materials that relax"):
+    with pytest.raises(InputError, match="materials that remember"):
         Dynamics(pulled(large(density=1), degree=1), scheme=scheme, end=1, dt=0.1)
 
 
@@ -477,7 +477,7 @@ def test_statics_show_their_time(folder: Path) -> None:
     [
         ({}, "the steps in time are not given"),
         ({"statics": {"method": "arc-length"}}, "along a path no time passes"),
-        ({"dynamics": {"scheme": "symplectic-euler", "end": 1}}, "materials that relax"),
+        ({"dynamics": {"scheme": "symplectic-euler", "end": 1}}, "materials that remember"),
     ],
 )
 def test_check_refuses(tables: dict[str, Any], text: str) -> None:

@@ -34,7 +34,7 @@ from dolfin_elastic.model.supports.springs import ResistingSupport
 from dolfin_elastic.model.tie import EXPLICIT_TIES, IMPLICIT
 from dolfin_elastic.model.values import sized
 from dolfin_elastic.problem.coefficients import CoefficientBinder
-from dolfin_elastic.problem.history import NO_PRONY, PERIODIC
+from dolfin_elastic.problem.history import NO_MEMORY, PERIODIC
 from dolfin_elastic.problem.material_regions import check_user_energies, volume_modulus
 from dolfin_elastic.problem.mesh_fields import check_fields
 from dolfin_elastic.problem.problem import placed_axes
@@ -87,20 +87,22 @@ def _errors_of(
     return ()
 
 
-def _check_relaxing(case: Case, body: Body) -> None:
-    """What materials that relax do not allow.
+def _check_memory(case: Case, body: Body) -> None:
+    """What materials that remember do not allow.
 
     Raises:
         InputError: A periodic cell, or an analysis or steps in which no time passes.
     """
-    if not any(material.law.relaxes for material in case.materials.values()):
+    memories = [m.law.memory for m in case.materials.values() if m.law.memory is not None]
+    if not memories:
         return
+    timed = any(memory.timed for memory in memories)
     if case.periodic is not None:
-        raise CaseError(PERIODIC, where="periodic", expected=NO_PRONY)
+        raise CaseError(PERIODIC, where="periodic", expected=NO_MEMORY)
     if case.dynamics is not None:
-        dynamics.refuse_relaxing(case.dynamics)
+        dynamics.refuse_memory(case.dynamics, timed=timed)
     elif case.analysis == "statics":
-        statics.refuse_relaxing(case.statics or statics.StaticsSettings())
+        statics.refuse_memory(case.statics or statics.StaticsSettings(), timed=timed)
 
 
 def _check_explicit(case: Case, body: Body) -> None:
@@ -509,7 +511,7 @@ _CHECKS: tuple[tuple[Callable[[Case, Body], None], bool, tuple[str, ...]], ...] 
     (_check_energies, True, ("materials",)),
     (_check_constants, True, ("fields", "materials", "regions")),
     (_check_output, True, ("output",)),
-    (_check_relaxing, True, ("materials", "periodic", *_ANALYSIS)),
+    (_check_memory, True, ("materials", "periodic", *_ANALYSIS)),
     (_check_explicit, True, ("materials", *_ANALYSIS)),
 )
 """Checks after that of the names, whether a wrong name touches them, and what they need."""
@@ -540,7 +542,8 @@ def _notes(case: Case) -> Iterator[str]:
     for name, material in case.materials.items():
         if material.law.viscosity is not None and (rate_free := _rate_free(case)):
             yield f"materials.{key_text(name)}: viscosity does nothing in {rate_free}"
-        if material.law.relaxes and case.gives_modes:
+        memory = material.law.memory
+        if memory is not None and memory.timed and case.gives_modes:
             yield (
                 f"materials.{key_text(name)}.prony: nothing relaxes in [{case.analysis}]: the "
                 "stiffness is that of a sudden load"

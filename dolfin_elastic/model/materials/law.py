@@ -6,7 +6,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import wraps
-from typing import Any, ClassVar, Self, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, Self, TypeVar
 
 import ufl
 from pydantic import AliasChoices, Field, model_validator
@@ -28,6 +28,9 @@ from dolfin_elastic.model.kinematics import (
 )
 from dolfin_elastic.model.materials import spatial
 from dolfin_elastic.model.strength import Allowable, Strength
+
+if TYPE_CHECKING:
+    from dolfin_elastic.model.materials.memory import Memory
 
 S = TypeVar("S")
 T = TypeVar("T")
@@ -216,9 +219,9 @@ class Law(spatial.SpatialRecord):
         return {n: value for n, value in result.items() if value is not None and n not in derived}
 
     @property
-    def relaxes(self) -> bool:
-        """Its stress depends on what has been before, see `prony`."""
-        return False
+    def memory(self) -> Memory | None:
+        """What it remembers, where its stress depends on what has been before; else None."""
+        return None
 
     @property
     def surely_stiff(self) -> bool:

@@ -19,17 +19,22 @@ Methods Eng. 2 (1970) 45.  H acts on J^-2/3 C here, which leaves the pressure to
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
+import numpy as np
 import ufl
 from pydantic import Field, field_validator
 from ufl.core.expr import Expr
 
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.schema import Record, WhenGiven
+from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.core.units import Number, Time
 from dolfin_elastic.model.kinematics import cofactor, infinitesimal_strain
-from dolfin_elastic.model.materials.law import ModifiedLaw, SplitLaw, once
+from dolfin_elastic.model.materials.law import SplitLaw, once
+from dolfin_elastic.model.materials.memory import Memory, Values, Variable
+from dolfin_elastic.model.materials.stepped import SteppedLaw, SteppedSplitLaw
 
 
 class PronyTerm(Record):
@@ -72,9 +77,9 @@ class Relaxing(SplitLaw):
         return terms
 
     @property
-    def relaxes(self) -> bool:
+    def memory(self) -> Memory | None:
         """See `Law`."""
-        return bool(self.prony)
+        return Prony(self) if self.prony else None
 
     @property
     def lasting(self) -> float:
@@ -82,31 +87,13 @@ class Relaxing(SplitLaw):
         return 1.0 - sum(term.g for term in self.prony)
 
 
-def overstress(law: SplitLaw, F: Expr) -> Expr:
-    """The stress that relaxes, S of the module: shape (3, 3) [Pa], symmetric.
-
-    Args:
-        F: Deformation gradient, shape (3, 3).
-    """
-    P = law.shape_stress(F)
-    return ufl.dev(P) if law.linear else ufl.det(F) ** (-1 / 3) * cofactor(F).T * P
-
-
 @dataclass(frozen=True)
-class Relaxed(ModifiedLaw):
-    """A law over a time step that begins with a history; a split law for `Mixed`.
+class Relaxed(SteppedSplitLaw):
+    """A law over a time step whose stress relaxes.
 
-    Attributes:
-        law: The law of a sudden strain.
-        instant: Factor of its deviatoric stress in the step, 1 - sum g (1 - f).
-        lasting: The same after a long time, 1 - sum g.
-        past: H of the module, shape (3, 3) [Pa].
+    `past` is H of the module [Pa]; in `step`, "instant" is the factor of the deviatoric stress,
+    1 - sum g (1 - f), and "lasting" the same after a long time, 1 - sum g.
     """
-
-    law: SplitLaw
-    instant: Expr
-    lasting: Expr
-    past: Expr
 
     @once
     def _shape(self, F: Expr) -> tuple[Expr, Expr]:
@@ -117,49 +104,81 @@ class Relaxed(ModifiedLaw):
     @once
     def _of_the_past(self, F: Expr) -> Expr:
         """Stress of H [Pa]: the derivative of H : J^-2/3 C/2, of linear laws of H : dev eps."""
+        H = self.past["H"]
         if self.law.linear:
-            return ufl.dev(self.past)
-        FH, J = F * self.past, ufl.det(F)
+            return ufl.dev(H)
+        FH, J = F * H, ufl.det(F)
         return J ** (-2 / 3) * (FH - ufl.inner(FH, F) / (3 * J) * cofactor(F))
 
     def shape_stress(self, F: Expr) -> Expr:
-        """See `SplitLaw`, over the step."""
+        """See `SteppedLaw`."""
         P, relaxing = self._shape(F)
-        return P + (self.instant - 1) * relaxing + self._of_the_past(F)
+        return P + (self.step["instant"] - 1) * relaxing + self._of_the_past(F)
 
     def branch_stress(self, F: Expr) -> Expr:
-        """First Piola-Kirchhoff stress of all branches [Pa]: what is lost after a long time."""
-        return (self.instant - self.lasting) * self._shape(F)[1] + self._of_the_past(F)
+        """See `SteppedLaw`: the stress of all branches, which is lost after a long time."""
+        share = self.step["instant"] - self.step["lasting"]
+        return share * self._shape(F)[1] + self._of_the_past(F)
 
     def shape_energy(self, F: Expr) -> Expr:
-        """See `SplitLaw`, after a long time: what no branch can lose."""
+        """See `SteppedLaw`, after a long time: what no branch can lose."""
+        lasting = self.step["lasting"]
         if not self.law.linear:
-            return self.lasting * self.law.shape_energy(F)
+            return lasting * self.law.shape_energy(F)
         relaxing = ufl.inner(self._shape(F)[1], infinitesimal_strain(F)) / 2
-        return self.law.shape_energy(F) + (self.lasting - 1) * relaxing
+        return self.law.shape_energy(F) + (lasting - 1) * relaxing
 
-    def energy(self, F: Expr) -> Expr:
-        """Energy per reference volume after a long time [J/m^3]."""
-        k = getattr(self.law, self.law.volume_modulus)
-        return self.shape_energy(F) + k / 2 * self.law.volume_strain(F) ** 2
+    def at_end(self, F: Expr) -> dict[str, Expr]:
+        """S of the module."""
+        P = self.law.shape_stress(F)
+        S = ufl.dev(P) if self.law.linear else ufl.det(F) ** (-1 / 3) * cofactor(F).T * P
+        return {"S": S}
 
-    def stress(self, F: Expr) -> Expr:
-        """First Piola-Kirchhoff stress [Pa] over the step."""
-        k = getattr(self.law, self.law.volume_modulus)
-        return self.shape_stress(F) + k * self.law.volume_stress(F)
 
-    def volume_strain(self, F: Expr) -> Expr:
-        """See `SplitLaw`."""
-        return self.law.volume_strain(F)
+class Prony(Memory):
+    """What a Prony series remembers: S and one h for each term [Pa], see the module.
 
-    def volume_gradient(self, F: Expr) -> Expr:
-        """See `SplitLaw`."""
-        return self.law.volume_gradient(F)
+    All terms fold into one tensor H, the same for the whole step.
+    """
 
-    def incompressibility(self, F: Expr) -> Expr:
-        """See `SplitLaw`."""
-        return self.law.incompressibility(F)
+    seen = (Variable("H", "symmetric"),)
+    found = (Variable("S", "symmetric"),)
 
-    def incompressibility_gradient(self, F: Expr) -> Expr:
-        """See `SplitLaw`."""
-        return self.law.incompressibility_gradient(F)
+    def __init__(self, law: Relaxing) -> None:
+        self._law = law
+        self._g = np.array([term.g for term in law.prony])
+        self._tau = np.array([term.tau for term in law.prony])
+        self._names = [f"h{i + 1}" for i in range(len(self._g))]
+        self.variables = tuple(Variable(name, "symmetric") for name in ("S", *self._names))
+
+    def _weights(self, dt: float) -> tuple[FloatArray, FloatArray]:
+        """e and f of each term."""
+        x = dt / self._tau
+        return np.exp(-x), -np.expm1(-x) / x if dt > 0.0 else np.ones_like(x)
+
+    def over_step(self, past: Mapping[str, Expr], step: Mapping[str, Expr]) -> SteppedLaw:
+        """See `Memory`."""
+        return Relaxed(self._law, past, step)
+
+    def step(self, dt: float, *, passes: bool) -> dict[str, float]:
+        """See `Memory`."""
+        f = self._weights(dt)[1]
+        return {
+            "instant": 1.0 - float(self._g @ (1.0 - f)),
+            "lasting": self._law.lasting if passes else 1.0,
+        }
+
+    def fold(self, values: Values, dt: float) -> Values:
+        """See `Memory`: H."""
+        e, f = self._weights(dt)
+        H = -float(self._g @ f) * values["S"]
+        for weight, name in zip(self._g * e, self._names, strict=True):
+            H += weight * values[name]
+        return {"H": H}
+
+    def follow(self, values: Values, found: Values, dt: float) -> Values:
+        """See `Memory`."""
+        e, f = self._weights(dt)
+        change = found["S"] - values["S"]
+        branches = {n: e[i] * values[n] + f[i] * change for i, n in enumerate(self._names)}
+        return {"S": found["S"], **branches}

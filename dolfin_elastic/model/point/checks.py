@@ -335,7 +335,7 @@ def relaxation(tested: LawUnderTest) -> Iterator[Finding]:
     """Moduli of a sudden load and after a long time: shear relaxes, the volume does not."""
     law = tested.given
     known = law.small_strain()
-    if isinstance(law, Relaxing) and law.relaxes and known is not None:
+    if isinstance(law, Relaxing) and law.prony and known is not None:
         E, mu, left = known.E, known.mu, law.lasting
         E_long, mu_long = 1 / (1 / E + (1 / left - 1) / (3 * mu)), left * mu
         times = sorted(term.tau for term in law.prony)

@@ -78,20 +78,21 @@ class EnergyBook:
     def stored(self) -> dict[str, float]:
         """Energies by account [J]. Collective.
 
-        "strain" is not a number where a law has none.  What has been done on what relaxes counts
-        with it, be it stored or lost already, and is told as "relaxing", too.
+        "strain" is not a number where a law has none.  What has been done on what relaxes, be it
+        stored or lost already, and what plasticity has dissipated count with it, and are told as
+        "relaxing" and "dissipated", too.
         """
         comm, history = self._problem.body.comm, self._problem.history
-        relaxing = {"relaxing": history.work()} if history is not None and history.passes else {}
+        spent = {} if history is None else history.spent()
         strain = float("nan")
         if not self.none:
             local = 0.0 if self._cells is None else self._cells.value()
             local += 0.0 if self._others is None else float(fem.assemble_scalar(self._others))
-            strain = total(comm, local) + sum(relaxing.values())
+            strain = total(comm, local) + sum(spent.values())
         terms = {name: integral(self._problem, form) for name, form in self._terms.items()}
         for term in self._nodal:
             terms[term.account] = terms.get(term.account, 0.0) + term.energy()
-        return {"strain": strain, **relaxing, **terms}
+        return {"strain": strain, **spent, **terms}
 
 
 def no_balance(problem: Problem) -> str:

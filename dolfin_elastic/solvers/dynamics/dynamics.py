@@ -22,7 +22,7 @@ from dolfin_elastic.solvers.dynamics.explicit.explicit import Explicit
 from dolfin_elastic.solvers.dynamics.implicit.implicit import Implicit, conserving
 from dolfin_elastic.solvers.dynamics.initial_conditions import set_initial
 from dolfin_elastic.solvers.dynamics.schemes import ExplicitRow
-from dolfin_elastic.solvers.dynamics.settings import DynamicsSettings, refuse_relaxing
+from dolfin_elastic.solvers.dynamics.settings import DynamicsSettings, refuse_memory
 from dolfin_elastic.solvers.linear.choice import LinearSettings
 from dolfin_elastic.solvers.marching import Marching
 from dolfin_elastic.solvers.statics.settings import StaticsSettings
@@ -70,7 +70,7 @@ class Dynamics(Marching):
             self._refuse_linear()
         self.statics = statics or StaticsSettings()
         if problem.history is not None:
-            refuse_relaxing(self.settings)
+            refuse_memory(self.settings, timed=problem.history.timed)
         self.settings.row.scheme.check(problem, self.settings.scheme)
         self.petsc = {**self.linear.petsc, **(petsc or {})}
         self.velocity = fem.Function(problem.V, name="velocity")

@@ -270,13 +270,16 @@ class DynamicsSettings(Record):
         return _initial_values("initial_velocity", self.initial_velocity, "m/s")
 
 
-def refuse_relaxing(settings: DynamicsSettings) -> None:
-    """Refuses what takes no steps over which a material could relax.
+def refuse_memory(settings: DynamicsSettings, *, timed: bool) -> None:
+    """Refuses what takes no steps over which a material could remember.
+
+    Args:
+        timed: A material depends on how long a step takes.
 
     Raises:
         InputError: The scheme is explicit, or PETSc's own, or there is a strain at the start.
     """
-    if settings.preload or settings.start is not None:
+    if timed and (settings.preload or settings.start is not None):
         raise InputError(
             "materials that relax have no equilibrium before the time begins",
             where=f"dynamics.{'preload' if settings.preload else 'start'}",
@@ -284,9 +287,9 @@ def refuse_relaxing(settings: DynamicsSettings) -> None:
         )
     if not settings.implicit or settings.scheme == "alpha2":
         raise InputError(
-            f"the scheme '{settings.scheme}' does not compute materials that relax",
+            f"the scheme '{settings.scheme}' does not compute materials that remember",
             where="dynamics.scheme",
-            expected='"generalized-alpha", or no `prony`',
+            expected='"generalized-alpha", or no `prony` and no plasticity',
         )
 
 

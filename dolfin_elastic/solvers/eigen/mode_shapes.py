@@ -83,7 +83,7 @@ def at_rest(problem: Problem) -> None:
     """
     problem.set_time(0.0, default=RAMP)
     if problem.history is not None:
-        problem.history.forget()
+        problem.history.reset()
     for index, load in enumerate(problem.loads):
         if load.is_eigenstrain and (load.amplitude or RAMP).at(0.0) != 0.0:
             raise InputError(

@@ -87,8 +87,11 @@ class StaticsSettings(Record):
         return type(self)(**{key: getattr(self, key) for key in self.model_fields_set - left})
 
 
-def refuse_relaxing(settings: StaticsSettings) -> None:
-    """Refuses what materials that relax do not allow: steps without a time, or of any size.
+def refuse_memory(settings: StaticsSettings, *, timed: bool) -> None:
+    """Refuses what materials that remember do not allow: steps without a time, or of any size.
+
+    Args:
+        timed: A material depends on how long a step takes.
 
     Raises:
         InputError: Along the path of equilibria no time passes, or nobody has said how fine the
@@ -96,11 +99,13 @@ def refuse_relaxing(settings: StaticsSettings) -> None:
     """
     if settings.method == "arc-length":
         raise InputError(
-            "a material relaxes in time, and along a path no time passes",
+            "a material relaxes in time, and along a path no time passes"
+            if timed
+            else "a material yields, which a path followed by its length cannot take back",
             where="statics.method",
-            expected='"load", or no `prony`',
+            expected='"load", or an elastic material',
         )
-    if not {"steps", "max_step"} & settings.model_fields_set:
+    if timed and not {"steps", "max_step"} & settings.model_fields_set:
         raise InputError(
             "a material relaxes in time, and the steps in time are not given",
             where="statics.steps",

@@ -23,7 +23,7 @@ from dolfin_elastic.solvers.nonlinear.convergence import Tolerance
 from dolfin_elastic.solvers.nonlinear.jacobian import JacobianWatch
 from dolfin_elastic.solvers.nonlinear.newton import Newton, scalar_unknowns
 from dolfin_elastic.solvers.statics.load_stepping import InitialGuess, LoadStepping
-from dolfin_elastic.solvers.statics.settings import FIRST, StaticsSettings, refuse_relaxing
+from dolfin_elastic.solvers.statics.settings import FIRST, StaticsSettings, refuse_memory
 from dolfin_elastic.solvers.statics.step_size import StepSizes
 from dolfin_elastic.solvers.statics.whole_load import may_take_whole_load
 
@@ -125,10 +125,10 @@ class Statics(Marching):
                 whole=not self._asks_for_steps() and may_take_whole_load(self.problem),
             )
             owned.callback(self._forget)
-            if self.problem.history is not None and self._preload:
-                self.problem.history.forget()
-            elif self.problem.history is not None and saved is None:
-                self.problem.history.begin()
+            if self.problem.history is not None and (self._preload or saved is None):
+                self.problem.history.reset()
+                if not self._preload:
+                    self.problem.history.begin()
             terms = self.problem.terms
             if self.problem.history is not None or terms.follows_path or terms.bars:
                 near = None  # what has been on the way counts
@@ -184,7 +184,7 @@ class Statics(Marching):
                 expected='"load"',
             )
         if self.problem.history is not None and not self._preload:
-            refuse_relaxing(self.settings)
+            refuse_memory(self.settings, timed=self.problem.history.timed)
 
     @property
     def tolerance(self) -> Tolerance:

@@ -161,7 +161,7 @@ def conserving(settings: DynamicsSettings, problem: Problem) -> DynamicsSettings
         return settings
     if settings.spectral_radius is not None or not conserve_in_steps(problem.terms):
         return settings
-    quadratic = all(law.linear and law.has_energy and not law.relaxes for law in laws)
+    quadratic = all(law.linear and law.has_energy and law.memory is None for law in laws)
     kept = quadratic or (conserves(problem) and all(map(derives_from_strain, laws)))
     return settings.model_copy(update={"spectral_radius": 1.0}) if kept else settings
 

@@ -1,0 +1,136 @@
+"""What a law remembers of its past, and how that follows from a time step.
+
+A law that remembers is, over one step, a function of F and of what was committed at the step's
+start: nothing of a trial is stored.  At the end of an accepted step what it remembers is evaluated
+once.  Both are UFL; where the values are kept is the affair of `problem.history`.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+import ufl
+from ufl.core.expr import Expr
+
+from dolfin_elastic.core.types import FloatArray
+
+SIX = ((0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (0, 2))
+"""Components of a symmetric tensor, in the order of its six numbers."""
+PLACES = ((0, 3, 5), (3, 1, 4), (5, 4, 2))
+
+
+@dataclass(frozen=True)
+class Variable:
+    """One quantity that is remembered at each point.
+
+    Attributes:
+        shape: A full tensor has nine numbers, a symmetric one six; both are 3x3.
+        start: Its value in the body at rest: of a tensor this number times the identity.
+    """
+
+    name: str
+    shape: Literal["scalar", "symmetric", "tensor"] = "scalar"
+    start: float = 0.0
+
+    @property
+    def size(self) -> int:
+        """How many numbers it has."""
+        return {"scalar": 1, "symmetric": 6, "tensor": 9}[self.shape]
+
+    @property
+    def at_start(self) -> FloatArray:
+        """Its numbers in the body at rest."""
+        if self.shape == "scalar":
+            return np.array([self.start])
+        tensor = self.start * np.eye(3)
+        return tensor.ravel() if self.shape == "tensor" else np.array([tensor[i] for i in SIX])
+
+    def value(self, numbers: Expr) -> Expr:
+        """The quantity, from a UFL vector of its numbers."""
+        if self.shape == "scalar":
+            return numbers[0]
+        rows = PLACES if self.shape == "symmetric" else np.arange(9).reshape(3, 3).tolist()
+        return ufl.as_matrix([[numbers[i] for i in row] for row in rows])
+
+    def numbers(self, value: Expr) -> list[Expr]:
+        """Its numbers, from the quantity."""
+        if self.shape == "scalar":
+            return [ufl.as_ufl(value)]
+        pairs = SIX if self.shape == "symmetric" else tuple(np.ndindex(3, 3))
+        return [value[i, j] for i, j in pairs]
+
+
+Values = Mapping[str, FloatArray]
+"""Name of a variable to its numbers at nodes, shape (nodes, size)."""
+
+
+class OverStep(ABC):
+    """What a law over a time step gives beside what laws give; F is of shape (3, 3)."""
+
+    @abstractmethod
+    def at_end(self, F: Expr) -> dict[str, Expr]:
+        """What `Memory.found` names, at the end of the step."""
+
+    def branch_stress(self, F: Expr) -> Expr | None:
+        """First Piola-Kirchhoff stress [Pa] whose work is stored or lost, nobody knows which."""
+        return None
+
+    def lost(self, F: Expr) -> Expr | None:
+        """Dissipated since the beginning, per reference volume [J/m^3]; None: not known."""
+        return None
+
+
+class Memory(ABC):
+    """What a law remembers, and how.
+
+    Attributes:
+        variables: What is kept.
+        timed: It depends on how long a step takes: no time passes in a preload.
+    """
+
+    variables: tuple[Variable, ...]
+    timed: bool = True
+
+    @property
+    def seen(self) -> tuple[Variable, ...]:
+        """What the stress of a step depends on: the variables, or what `fold` makes of them."""
+        return self.variables
+
+    @property
+    def found(self) -> tuple[Variable, ...]:
+        """What is evaluated at the end of a step: the variables, or what `follow` needs."""
+        return self.variables
+
+    @abstractmethod
+    def over_step(self, past: Mapping[str, Expr], step: Mapping[str, Expr]) -> OverStep:
+        """The law over a step.
+
+        Args:
+            past: Of `seen`.
+            step: Constants, of the names that `step` gives.
+        """
+
+    def step(self, dt: float, *, passes: bool) -> dict[str, float]:
+        """Constants of a step of a length [s], by name.
+
+        Args:
+            passes: Time passes at all; else the laws are those of a sudden load.
+        """
+        return {}
+
+    def fold(self, values: Values, dt: float) -> Values:
+        """`seen`, from the variables at the start of a step of a length [s]."""
+        return values
+
+    def follow(self, values: Values, found: Values, dt: float) -> Values:
+        """The variables at the end of a step of a length [s].
+
+        Args:
+            values: The variables as the step began, at the nodes.
+            found: Of `found`, at its end.
+        """
+        return found
