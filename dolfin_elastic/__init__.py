@@ -65,6 +65,8 @@ if TYPE_CHECKING:
     from dolfin_elastic.model.materials.laws.holzapfel_gasser_ogden import (
         HolzapfelGasserOgden as HolzapfelGasserOgden,
     )
+    from dolfin_elastic.model.materials.laws.j2 import J2 as J2
+    from dolfin_elastic.model.materials.laws.j2_logarithmic import J2Logarithmic as J2Logarithmic
     from dolfin_elastic.model.materials.laws.linear_elastic import LinearElastic as LinearElastic
     from dolfin_elastic.model.materials.laws.mooney_rivlin import MooneyRivlin as MooneyRivlin
     from dolfin_elastic.model.materials.laws.neo_hookean import NeoHookean as NeoHookean
@@ -134,6 +136,8 @@ _PLACES = {
     "model.materials.laws.gent": ("Gent",),
     "model.materials.laws.guccione": ("Guccione",),
     "model.materials.laws.hencky": ("Hencky",),
+    "model.materials.laws.j2": ("J2",),
+    "model.materials.laws.j2_logarithmic": ("J2Logarithmic",),
     "model.materials.laws.holzapfel_gasser_ogden": ("HolzapfelGasserOgden",),
     "model.materials.laws.linear_elastic": ("LinearElastic",),
     "model.materials.laws.mooney_rivlin": ("MooneyRivlin",),

@@ -15,6 +15,8 @@ _CLASSES = {
     "corotated": "Corotated",
     "fixed-corotated": "FixedCorotated",
     "hencky": "Hencky",
+    "j2": "J2",
+    "j2-logarithmic": "J2Logarithmic",
     "neo-hookean": "NeoHookean",
     "neo-hookean-split": "NeoHookeanSplit",
     "mooney-rivlin": "MooneyRivlin",

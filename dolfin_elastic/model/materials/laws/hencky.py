@@ -19,17 +19,8 @@ from dolfin_elastic.model.materials.spectral import (
 )
 
 
-class Hencky(Isotropic, SplitLaw):
-    """Hooke's law between the Kirchhoff stress and the logarithmic strain.
-
-    psi = mu sum_i (ln l_i)^2 + lmbda/2 (ln J)^2, l the principal stretches.  The program uses
-    the equal form mu sum_i (ln (l_i J^-1/3))^2 + K/2 (ln J)^2.  For metals and polymers at moderate
-    strains: Hooke's constants hold well beyond small strains.  It softens at stretches above e.
-
-    Source: L. Anand, J. Appl. Mech. 46 (1979) 78; Bonet & Wood (2008), section 6.6.
-    """
-
-    law: Literal["hencky"] = "hencky"
+class Logarithmic(Isotropic, SplitLaw):
+    """A law with Hooke's constants between Kirchhoff stress and logarithmic strain: `Hencky`."""
 
     barrier: ClassVar[bool] = True
     strain_of_volume: ClassVar[bool] = True
@@ -53,6 +44,19 @@ class Hencky(Isotropic, SplitLaw):
     def volume_gradient(self, F: Expr) -> Expr:
         """F^-T."""
         return cofactor(F) / ufl.det(F)
+
+
+class Hencky(Logarithmic):
+    """Hooke's law between the Kirchhoff stress and the logarithmic strain.
+
+    psi = mu sum_i (ln l_i)^2 + lmbda/2 (ln J)^2, l the principal stretches.  The program uses
+    the equal form mu sum_i (ln (l_i J^-1/3))^2 + K/2 (ln J)^2.  For metals and polymers at moderate
+    strains: Hooke's constants hold well beyond small strains.  It softens at stretches above e.
+
+    Source: L. Anand, J. Appl. Mech. 46 (1979) 78; Bonet & Wood (2008), section 6.6.
+    """
+
+    law: Literal["hencky"] = "hencky"
 
     def strain(self, F: Expr) -> Expr:
         """The logarithmic strain ln U, which F^T P = 2 mu ln U + lmbda ln J I gives."""

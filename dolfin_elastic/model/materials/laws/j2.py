@@ -1,0 +1,122 @@
+"""Metal plasticity at small strains."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import ClassVar, Literal
+
+import ufl
+from ufl.core.expr import Expr
+
+from dolfin_elastic.model.kinematics import infinitesimal_strain
+from dolfin_elastic.model.materials.law import once
+from dolfin_elastic.model.materials.memory import Memory, Variable
+from dolfin_elastic.model.materials.plasticity import (
+    PLASTIC_STRAIN,
+    VISCOUS,
+    Plastic,
+    constants_of_step,
+    dissipated,
+    returned,
+    scalars_at_end,
+)
+from dolfin_elastic.model.materials.stepped import SteppedSplitLaw
+
+TENSOR = Variable("plastic_strain_tensor", "symmetric")
+
+
+class J2(Plastic):
+    """Metal plasticity at small strains: von Mises' yield condition, associated flow.
+
+    Hooke's law up to the yield stress.  Beyond it the plastic strain grows along the deviator of
+    the stress, each step one of backward Euler in closed form.  For strains and rotations up to a
+    few per cent.  Quadratic elements do not lock at full plasticity; linear ones do.
+
+    Source: Simo & Hughes, Computational Inelasticity (1998), box 3.2.
+    """
+
+    law: Literal["j2"] = "j2"
+    linear: ClassVar[bool] = True
+    frame_indifferent: ClassVar[bool] = False
+    example: ClassVar[Mapping[str, object]] = {
+        "E": "210 GPa",
+        "nu": 0.3,
+        "yield": "250 MPa",
+        "hardening": "1 GPa",
+    }
+
+    @property
+    def memory(self) -> Memory:
+        """See `Law`."""
+        return _Memory(self)
+
+    def shape_energy(self, F: Expr) -> Expr:
+        """mu dev eps:dev eps, before anything has yielded."""
+        eps = ufl.dev(infinitesimal_strain(F))
+        return self.mu * ufl.inner(eps, eps)
+
+    def volume_strain(self, F: Expr) -> Expr:
+        """tr eps."""
+        return ufl.tr(infinitesimal_strain(F))
+
+
+class _Memory(Memory):
+    """The plastic strain: tensor and equivalent."""
+
+    def __init__(self, law: J2) -> None:
+        self._law, self.timed = law, law.timed
+        viscous = (VISCOUS,) if law.timed else ()
+        self.variables = (TENSOR, PLASTIC_STRAIN, *viscous)
+
+    def over_step(self, past: Mapping[str, Expr], step: Mapping[str, Expr]) -> SteppedJ2:
+        """See `Memory`."""
+        return SteppedJ2(self._law, past, step)
+
+    def step(self, dt: float, *, passes: bool) -> dict[str, float]:
+        """See `Memory`."""
+        return constants_of_step(self._law, dt)
+
+
+@dataclass(frozen=True)
+class SteppedJ2(SteppedSplitLaw):
+    """J2 plasticity at small strains over a step.
+
+    Attributes:
+        law: With constants of the material.
+    """
+
+    law: J2
+
+    @once
+    def _return(self, F: Expr) -> tuple[Expr, Expr]:
+        """Growth of the equivalent plastic strain, and the plastic strain at the end."""
+        before, law = self.past[TENSOR.name], self.law
+        elastic = ufl.dev(infinitesimal_strain(F)) - before
+        trial = 2 * law.mu * elastic - 2 / 3 * law.kinematic * before
+        found = returned(law, trial, self.past, self.step)
+        return found.growth, before + 1.5 * found.share * trial
+
+    def strain(self, F: Expr) -> Expr:
+        """The elastic strain."""
+        return infinitesimal_strain(F) - self._return(F)[1]
+
+    def shape_stress(self, F: Expr) -> Expr:
+        """See `SteppedSplitLaw`: 2 mu of the elastic deviator."""
+        return 2 * self.law.mu * (ufl.dev(infinitesimal_strain(F)) - self._return(F)[1])
+
+    def shape_energy(self, F: Expr) -> Expr:
+        """See `SteppedSplitLaw`: of the elastic strain, and of the back stress."""
+        plastic = self._return(F)[1]
+        elastic = ufl.dev(infinitesimal_strain(F)) - plastic
+        back = self.law.kinematic / 3 * ufl.inner(plastic, plastic)
+        return self.law.mu * ufl.inner(elastic, elastic) + back
+
+    def at_end(self, F: Expr) -> dict[str, Expr]:
+        """See `OverStep`."""
+        growth, tensor = self._return(F)
+        return {TENSOR.name: tensor, **scalars_at_end(self.law, growth, self.past, self.step)}
+
+    def lost(self, F: Expr) -> Expr:
+        """See `OverStep`."""
+        return dissipated(self.law, self.at_end(F))
