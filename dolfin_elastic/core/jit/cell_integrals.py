@@ -1,4 +1,4 @@
-"""Integrals and values in cells of what has no coefficient but the vector of all unknowns.
+"""Integrals over cells of forms, and values in cells, by loops of our own.
 
 DOLFINx copies the coefficients of all cells before it assembles a form or evaluates an expression:
 the displacement of a linear tetrahedron takes 96 bytes, more than any other array of a residual,
@@ -8,10 +8,11 @@ one cell, or, where there are many, of some cells at once, see `Kernel`.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple, Self
 
 import cffi
 import numpy as np
@@ -100,18 +101,64 @@ class _Integral:
     loops: CFunctions
 
 
+@dataclass(frozen=True)
+class _Room:
+    """The numbers of one cell that a kernel takes.
+
+    Attributes:
+        arguments: Their number; where those of the unknowns begin; how many other coefficients
+            there are, with five integers of each, as cells.h has them.
+        kept: What these are addresses of.
+    """
+
+    arguments: tuple[int, int, int, IndexArray]
+    kept: list[AnyArray]
+
+    @classmethod
+    def of(cls, coefficients: Sequence[Any], w: fem.Function) -> Self:
+        """For functions of DOLFINx's C++, in the order of the kernel."""
+        first, at = None, 0
+        kept, rows = list[AnyArray](), list[int]()
+        for one in coefficients:
+            space = one.function_space
+            if one is w._cpp_object:
+                first = at
+            else:
+                nodes, values = np.ascontiguousarray(space.dofmap.map()), one.x.array
+                kept += [nodes, values]
+                places = [nodes.ctypes.data, values.ctypes.data]
+                rows += [*places, nodes.shape[1], int(space.dofmap.bs), at]
+            at += int(space.element.space_dimension)
+        if first is None:  # nothing depends on the unknowns
+            first, at = at, at + int(w.function_space.element.space_dimension)
+        return cls((at, first, len(rows) // 5, np.array(rows, dtype=np.int64)), kept)
+
+
+def can_be_packed(coefficient: object, w: fem.Function) -> bool:
+    """Whether the loops here can hand a coefficient of a form to a kernel.
+
+    Args:
+        coefficient: UFL's.
+    """
+    if not isinstance(coefficient, fem.Function):
+        return False
+    space = coefficient.function_space
+    same = space.mesh is w.function_space.mesh
+    return same and not space.element.needs_dof_transformations
+
+
 class CellIntegrals:
     """A compiled form whose integrals are all over cells. Collective to make.
 
     Args:
-        form: Of one test function in the space of the unknowns, or of none; it has no coefficient
-            but the unknowns.
+        form: Of one test function in the space of the unknowns, or of none; its coefficients
+            `can_be_packed`.
     """
 
     def __init__(self, form: fem.Form, w: fem.Function, jit_options: JitOptions) -> None:
         self._form, self._w = form, w
         self._elements = _elements(w)
-        self._packed, self._first = _room(form, w)
+        self._room = _Room.of(form._cpp_object.coefficients, w)
         self._integrals = [
             _Integral(kernel, cells, _loops_over_cells(w, kernel, jit_options, many=pays(w)))
             for kernel, cells in _kernels(form)
@@ -139,7 +186,7 @@ class CellIntegrals:
 
     def _call(self, loop: str, constants: FloatArray, out: FloatArray) -> None:
         w = self._w.x.array
-        unknowns = (*self._elements, len(w), w, self._packed, self._first)
+        unknowns = (*self._elements, len(w), w, *self._room.arguments)
         for one in self._integrals:
             where = (one.kernel.address, len(one.cells), one.cells)
             one.loops.call(loop, *where, *unknowns, len(constants), constants, out)
@@ -160,7 +207,7 @@ class Loops(NamedTuple):
 class CellExpression:
     """An expression without arguments, compiled, at points in cells. Collective to make.
 
-    Where it has another coefficient than the unknowns, DOLFINx evaluates it.
+    Where a coefficient cannot be packed, DOLFINx evaluates it, see `can_be_packed`.
 
     Args:
         points: Of the reference cell, shape (points, dim).
@@ -169,7 +216,7 @@ class CellExpression:
 
     Attributes:
         size: Numbers in a cell: points times components.
-        kernel: FFCx's function, which has no coefficient but the unknowns; else None.
+        kernel: FFCx's function; None where DOLFINx evaluates it.
         in_lanes: It has code for several cells at once.
     """
 
@@ -183,15 +230,20 @@ class CellExpression:
     ) -> None:
         comm = w.function_space.mesh.comm
         self._expression, library = expression_and_module(comm, expression, points, jit_options)
-        self._w, self.kernel, self.in_lanes = w, _kernel(self._expression, library, w), False
         compiled = self._expression.ufcx_expression
+        coefficients = extract_coefficients(self._expression.ufl_expression)
+        positions = compiled.original_coefficient_positions
+        used = [coefficients[positions[i]] for i in range(compiled.num_coefficients)]
+        self._w, self.kernel, self.in_lanes = w, None, False
+        if all(can_be_packed(one, w) for one in used):
+            self.kernel = _function(compiled.tabulate_tensor_float64, library, 0)
+        self._room = _Room.of([one._cpp_object for one in used], w)
         self.size = int(compiled.num_points) * int(self._expression.value_size)
         if self.kernel is None and loops is None:
             return
         self._elements, kernel = _elements(w), self.kernel or NO_KERNEL
         many = self.kernel is not None and pays(w) and self.size <= _MOST
         self.loops = _loops_over_cells(w, kernel, jit_options, many=many, loops=loops)
-        self._packed = w.function_space.element.space_dimension
         self.in_lanes = self.loops.call("width") > 1
 
     @property
@@ -209,7 +261,8 @@ class CellExpression:
         """
         w, constants, address = self._w.x.array, self.constants, (self.kernel or NO_KERNEL).address
         where = (address, len(cells), cells, *self._elements, len(w), w)
-        return self.loops.call(name, *where, len(constants), constants, *arguments)
+        room = self._room.arguments
+        return self.loops.call(name, *where, *room, len(constants), constants, *arguments)
 
     def eval(self, cells: IndexArray, out: FloatArray | None = None) -> FloatArray:
         """Values in cells, shape (cells, size). Not collective.
@@ -227,8 +280,8 @@ class CellExpression:
         constants = self.constants
         w = self._w.x.array
         where = (self.kernel.address, len(cells), cells, *self._elements, len(w), w)
-        sizes = (self._packed, 0, len(constants))
-        self.loops.call("evaluate", *where, *sizes, constants, self.size, out)
+        room = self._room.arguments
+        self.loops.call("evaluate", *where, *room, len(constants), constants, self.size, out)
         return out
 
 
@@ -262,16 +315,6 @@ def _loops_over_cells(
     return compile_c(comm, file, sizes | further, jit_options, kernel=code)
 
 
-def _kernel(expression: fem.Expression, library: Library, w: fem.Function) -> Kernel | None:
-    """The function of a compiled expression; None where it has other coefficients than w."""
-    compiled = expression.ufcx_expression
-    positions = compiled.original_coefficient_positions
-    coefficients = extract_coefficients(expression.ufl_expression)
-    if any(coefficients[positions[i]] is not w for i in range(compiled.num_coefficients)):
-        return None
-    return _function(compiled.tabulate_tensor_float64, library, 0)
-
-
 def _function(function: cffi.FFI.CData, library: Library, number: int) -> Kernel:
     address = int(library.ffi.cast("intptr_t", function))
     arguments = len(library.ffi.typeof(function).args)
@@ -287,13 +330,3 @@ def _kernels(form: fem.Form) -> list[tuple[Kernel, IndexArray]]:
         cells = np.ascontiguousarray(cells_of_integral(form, k))
         result.append((_function(tabulate, form.module, k), cells))
     return result
-
-
-def _room(form: fem.Form, w: fem.Function) -> tuple[int, int]:
-    """Coefficients of one cell, and where those of the unknowns begin among them."""
-    sizes = [c.function_space.element.space_dimension for c in form._cpp_object.coefficients]
-    ours = [one is w._cpp_object for one in form._cpp_object.coefficients]
-    own = w.function_space.element.space_dimension
-    if not any(ours):  # no integral depends on the unknowns
-        return sum(sizes) + own, sum(sizes)
-    return sum(sizes), sum(sizes[: ours.index(True)])

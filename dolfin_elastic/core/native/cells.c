@@ -5,7 +5,8 @@
 int64_t add_vector(int64_t kernel, int64_t count, const int32_t cells[count], int64_t every,
                    const int32_t corners[NG * every], int64_t points, const double x[3 * points],
                    const int32_t dofs[NW * every], int64_t entries, const double unknowns[entries],
-                   int64_t packed, int64_t first, int64_t known, const double constants[known],
+                   int64_t packed, int64_t first, int64_t others,
+                   const int64_t other[5 * others], int64_t known, const double constants[known],
                    double out[entries])
 {
   lanes y[3 * NG], w[packed], c[known + 1], b[BS * NW];
@@ -14,7 +15,8 @@ int64_t add_vector(int64_t kernel, int64_t count, const int32_t cells[count], in
   for (int64_t n = 0; n < count; n += LANES)
   {
     const int64_t some = count - n < LANES ? count - n : LANES;
-    take_cells(some, cells + n, corners, x, dofs, unknowns, (double*)y, (double*)(w + first));
+    take_cells(some, cells + n, corners, x, dofs, unknowns, others, other, (double*)y, (double*)w,
+               first);
     memset(b, 0, sizeof(b));
     TABULATE(b, w, c, y);
     for (int l = 0; l < some; l++)
@@ -29,7 +31,8 @@ int64_t add_vector(int64_t kernel, int64_t count, const int32_t cells[count], in
 int64_t add_scalar(int64_t kernel, int64_t count, const int32_t cells[count], int64_t every,
                    const int32_t corners[NG * every], int64_t points, const double x[3 * points],
                    const int32_t dofs[NW * every], int64_t entries, const double unknowns[entries],
-                   int64_t packed, int64_t first, int64_t known, const double constants[known],
+                   int64_t packed, int64_t first, int64_t others,
+                   const int64_t other[5 * others], int64_t known, const double constants[known],
                    double out[1])
 {
   lanes y[3 * NG], w[packed], c[known + 1], value[1];
@@ -38,7 +41,8 @@ int64_t add_scalar(int64_t kernel, int64_t count, const int32_t cells[count], in
   for (int64_t n = 0; n < count; n += LANES)
   {
     const int64_t some = count - n < LANES ? count - n : LANES;
-    take_cells(some, cells + n, corners, x, dofs, unknowns, (double*)y, (double*)(w + first));
+    take_cells(some, cells + n, corners, x, dofs, unknowns, others, other, (double*)y, (double*)w,
+               first);
     memset(value, 0, sizeof(value));
     TABULATE(value, w, c, y);
     for (int l = 0; l < some; l++)
@@ -50,7 +54,8 @@ int64_t add_scalar(int64_t kernel, int64_t count, const int32_t cells[count], in
 int64_t evaluate(int64_t kernel, int64_t count, const int32_t cells[count], int64_t every,
                  const int32_t corners[NG * every], int64_t points, const double x[3 * points],
                  const int32_t dofs[NW * every], int64_t entries, const double unknowns[entries],
-                 int64_t packed, int64_t first, int64_t known, const double constants[known],
+                 int64_t packed, int64_t first, int64_t others,
+                   const int64_t other[5 * others], int64_t known, const double constants[known],
                  int64_t size, double out[size * count])
 {
   lanes y[3 * NG], w[packed], c[known + 1], room[LANES == 1 ? 1 : size];
@@ -59,7 +64,8 @@ int64_t evaluate(int64_t kernel, int64_t count, const int32_t cells[count], int6
   for (int64_t n = 0; n < count; n += LANES)
   {
     const int64_t some = count - n < LANES ? count - n : LANES;
-    take_cells(some, cells + n, corners, x, dofs, unknowns, (double*)y, (double*)(w + first));
+    take_cells(some, cells + n, corners, x, dofs, unknowns, others, other, (double*)y, (double*)w,
+               first);
     double* next = out + n * size;
     lanes* values = LANES == 1 ? (lanes*)next : room;
     memset(values, 0, size * sizeof(lanes));

@@ -18,10 +18,12 @@ static inline void spread(int64_t count, const double* values, double* out)
 }
 
 /* Of the next LANES cells, or of count and the last of them again.  Unknowns stand in rows of BS at
-   NW nodes of a cell, its geometry has NG nodes. */
+   NW nodes of a cell, its geometry has NG nodes.  Of each other coefficient there are five numbers:
+   addresses of nodes of cells and of values, nodes of a cell, values of a node, place in w. */
 static inline void take_cells(int64_t count, const int32_t* cells, const int32_t* corners,
                               const double* x, const int32_t* dofs, const double* unknowns,
-                              double* y, double* w)
+                              int64_t others, const int64_t* other, double* y, double* w,
+                              int64_t first)
 {
   for (int l = 0; l < LANES; l++)
   {
@@ -31,7 +33,16 @@ static inline void take_cells(int64_t count, const int32_t* cells, const int32_t
         LANE(y, 3 * m + i, l) = x[3 * (int64_t)corners[c * NG + m] + i];
     for (int a = 0; a < NW; a++)
       for (int i = 0; i < BS; i++)
-        LANE(w, BS * a + i, l) = unknowns[BS * (int64_t)dofs[c * NW + a] + i];
+        LANE(w, first + BS * a + i, l) = unknowns[BS * (int64_t)dofs[c * NW + a] + i];
+    for (int64_t k = 0; k < others; k++)
+    {
+      const int64_t nodes = other[5 * k + 2], block = other[5 * k + 3], place = other[5 * k + 4];
+      const int32_t* list = (const int32_t*)other[5 * k] + c * nodes;
+      const double* values = (const double*)other[5 * k + 1];
+      for (int64_t a = 0; a < nodes; a++)
+        for (int64_t i = 0; i < block; i++)
+          LANE(w, place + block * a + i, l) = values[block * list[a] + i];
+    }
   }
 }
 

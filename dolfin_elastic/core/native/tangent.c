@@ -79,6 +79,8 @@ struct model
   const int32_t *corners, *dofs;
   const double *x, *unknowns, *moduli, *tables, *pressures, *geometry_tables, *weights;
   const lanes* constants;
+  int64_t packed, first, others;
+  const int64_t* other;
 };
 
 /* Of K_ai,bk where the tangent is symmetric i <= k only, and of several cells, i = k, a <= b only;
@@ -143,9 +145,10 @@ INLINE void add_coupling(const lanes* restrict G, lanes g[DIM][NDP], const doubl
 static void elements(const struct model* m, int64_t some, int64_t n, const int32_t* cells,
                      struct tangent* restrict T)
 {
-  lanes g[DIM][NDP], y[NG][3], w[BS * NW], room[NQ * MODULI];
+  lanes g[DIM][NDP], y[NG][3], w[m->packed], room[NQ * MODULI];
   const lanes* moduli = room;
-  take_cells(some, cells + n, m->corners, m->x, m->dofs, m->unknowns, (double*)y, (double*)w);
+  take_cells(some, cells + n, m->corners, m->x, m->dofs, m->unknowns, m->others, m->other,
+             (double*)y, (double*)w, m->first);
   if (m->kernel)
   {
     const int64_t kernel = m->kernel;
@@ -217,7 +220,8 @@ INLINE void drop_fixed(const int8_t* fixed, const int32_t* nodes, int l, struct 
 int64_t add_tangent(int64_t kernel, int64_t count, const int32_t cells[count], int64_t every,
                     const int32_t corners[NG * every], int64_t points, const double x[3 * points],
                     const int32_t dofs[NW * every], int64_t entries,
-                    const double unknowns[entries], int64_t known, const double constants[known],
+                    const double unknowns[entries], int64_t packed, int64_t first, int64_t others,
+                    const int64_t other[5 * others], int64_t known, const double constants[known],
                     int64_t given, const double moduli[given * NQ * MODULI],
                     const double tables[NQ * DIM * NDP], const double pressures[NQ * NP],
                     const double geometry_tables[NQ * NG * DIM], const double weights[NQ],
@@ -228,7 +232,8 @@ int64_t add_tangent(int64_t kernel, int64_t count, const int32_t cells[count], i
   struct tangent T __attribute__((aligned(64)));
   lanes c[known + 1];
   const struct model m = {kernel,    corners,         dofs,    x, unknowns, moduli, tables,
-                          pressures, geometry_tables, weights, c};
+                          pressures, geometry_tables, weights, c,
+                          packed,    first,           others,  other};
   spread(known, constants, (double*)c);
   for (int64_t n = 0; n < count; n += LANES)
   {
@@ -309,7 +314,8 @@ static void add_far(struct tangent* T, int l, int a, int b, int32_t row, int32_t
 int64_t add_half(int64_t kernel, int64_t count, const int32_t cells[count], int64_t every,
                  const int32_t corners[NG * every], int64_t points, const double x[3 * points],
                  const int32_t dofs[NW * every], int64_t entries, const double unknowns[entries],
-                 int64_t known, const double constants[known], int64_t given,
+                 int64_t packed, int64_t first, int64_t others,
+                    const int64_t other[5 * others], int64_t known, const double constants[known], int64_t given,
                  const double moduli[given * NQ * MODULI], const double tables[NQ * DIM * NDP],
                  const double pressures[NQ * NP], const double geometry_tables[NQ * NG * DIM],
                  const double weights[NQ], const int32_t nodes[NODES * every],
@@ -322,7 +328,8 @@ int64_t add_half(int64_t kernel, int64_t count, const int32_t cells[count], int6
   struct tangent T __attribute__((aligned(64)));
   lanes c[known + 1];
   const struct model m = {kernel,    corners,         dofs,    x, unknowns, moduli, tables,
-                          pressures, geometry_tables, weights, c};
+                          pressures, geometry_tables, weights, c,
+                          packed,    first,           others,  other};
   spread(known, constants, (double*)c);
   for (int64_t n = 0; n < count; n += LANES)
   {
@@ -393,7 +400,8 @@ int64_t add_half(int64_t kernel, int64_t count, const int32_t cells[count], int6
 int64_t add_product(int64_t kernel, int64_t count, const int32_t cells[count], int64_t every,
                     const int32_t corners[NG * every], int64_t points, const double x[3 * points],
                     const int32_t dofs[NW * every], int64_t entries,
-                    const double unknowns[entries], int64_t known, const double constants[known],
+                    const double unknowns[entries], int64_t packed, int64_t first, int64_t others,
+                    const int64_t other[5 * others], int64_t known, const double constants[known],
                     int64_t given, const double moduli[given * NQ * MODULI],
                     const double tables[NQ * DIM * NDP], const double pressures[NQ * NP],
                     const double geometry_tables[NQ * NG * DIM], const double weights[NQ],
@@ -403,7 +411,8 @@ int64_t add_product(int64_t kernel, int64_t count, const int32_t cells[count], i
   struct tangent T __attribute__((aligned(64)));
   lanes c[known + 1];
   const struct model m = {kernel,    corners,         dofs,    x, unknowns, moduli, tables,
-                          pressures, geometry_tables, weights, c};
+                          pressures, geometry_tables, weights, c,
+                          packed,    first,           others,  other};
   spread(known, constants, (double*)c);
   for (int64_t n = 0; n < count; n += LANES)
   {

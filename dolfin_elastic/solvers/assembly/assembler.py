@@ -15,7 +15,7 @@ from ufl.integral import Integral
 
 from dolfin_elastic.core.ghosts import assembled
 from dolfin_elastic.core.jit import compile_forms
-from dolfin_elastic.core.jit.cell_integrals import CellIntegrals
+from dolfin_elastic.core.jit.cell_integrals import CellIntegrals, can_be_packed
 from dolfin_elastic.core.parallel import largest_row, total
 from dolfin_elastic.core.timing import stage
 from dolfin_elastic.core.types import FloatArray, IndexArray
@@ -516,9 +516,7 @@ def compiled(problem: Problem, forms: Sequence[ufl.Form]) -> list[fem.Form]:
 
 
 def in_cells(problem: Problem, form: ufl.Form) -> tuple[CellIntegrals | None, fem.Form | None]:
-    """The integrals over cells of what depends on the unknowns alone, and all others. Collective.
-
-    Others have, for example, a modulus or a load that varies in space.
+    """The integrals over cells that loops of our own can take, and all others. Collective.
 
     Args:
         form: Of at most one test function.
@@ -528,7 +526,7 @@ def in_cells(problem: Problem, form: ufl.Form) -> tuple[CellIntegrals | None, fe
     """
     parts: tuple[list[Integral], list[Integral]] = [], []
     for one in form.integrals():
-        ours = all(field is problem.w for field in extract_coefficients(one.integrand()))
+        ours = all(can_be_packed(c, problem.w) for c in extract_coefficients(one.integrand()))
         parts[one.integral_type() != "cell" or not ours].append(one)
     forms = iter(compiled(problem, [ufl.Form(part) for part in parts if part]))
     cells, others = (next(forms) if part else None for part in parts)
