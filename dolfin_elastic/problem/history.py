@@ -78,10 +78,17 @@ class RegionHistory:
         assert isinstance(law, SteppedLaw)
         self.law = law
         self.values: dict[str, FloatArray] = {}
+        self._start()
+
+    def _start(self) -> None:
+        """The body at rest, outside of the region, too, where no law is to divide by zero."""
+        at_rest = {v.name: v.at_start[None] for v in self.memory.variables}
+        for name, values in self.memory.fold(at_rest, 0.0).items():
+            self._past[name].x.array.reshape(-1, values.shape[1])[:] = values
         self.reset()
 
     def reset(self) -> None:
-        """The body at rest. Not collective."""
+        """Forgets all: the body at rest. Not collective."""
         self.values = {
             v.name: np.tile(v.at_start, (len(self._rows), 1)) for v in self.memory.variables
         }
@@ -95,10 +102,7 @@ class RegionHistory:
         for name, value in self.memory.step(dt, passes=passes).items():
             self._step[name].value = value
         for name, values in self.memory.fold(self.values, dt).items():
-            function = self._past[name]
-            function.x.array.reshape(len(function.x.array) // values.shape[1], -1)[self._rows] = (
-                values
-            )
+            self._past[name].x.array.reshape(-1, values.shape[1])[self._rows] = values
 
     def numbers_at_end(self, law: SteppedLaw, F: Expr) -> Expr:
         """All that `commit` takes, as one UFL vector."""

@@ -16,6 +16,7 @@ from dolfin_elastic import (
 )
 from dolfin_elastic.mesh import Body
 from dolfin_elastic.model.materials.law import Law
+from dolfin_elastic.model.materials.plasticity import Plastic
 from dolfin_elastic.model.materials.registry import MATERIALS
 
 E, NU = 1e6, 0.3
@@ -23,8 +24,14 @@ MU, LMBDA = E / (2 * (1 + NU)), E * NU / ((1 + NU) * (1 - 2 * NU))
 I = np.eye(3)
 
 
+NEVER = {"E": E, "yield_stress": 1e12, "hardening": 0.0}
+"""Constants of plastic laws with which nothing yields: they are elastic laws then."""
+
+
 def make(name: str, **more: Any) -> Law:
-    return MATERIALS[name](**{**MATERIALS[name].example, **more})
+    kind = MATERIALS[name]
+    elastic = NEVER if issubclass(kind, Plastic) else {}
+    return kind(**{**kind.example, **elastic, **more})
 
 
 _POINTS: dict[str, Point] = {}

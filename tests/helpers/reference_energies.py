@@ -202,7 +202,7 @@ ENERGIES: dict[str, Callable[[Any, Matrix], Any]] = {
         guccione,
         holzapfel_gasser_ogden,
     )
-}
+} | {"j2": linear_elastic, "j2-logarithmic": hencky}
 
 
 def energy(law: Any, F: Matrix) -> Any:

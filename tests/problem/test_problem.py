@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import ufl
 from dolfinx import fem, la
+from helpers.laws import make
 from mpi4py import MPI
 
 import dolfin_elastic
@@ -142,8 +143,7 @@ SPLIT = [name for name, kind in MATERIALS.items() if issubclass(kind, SplitLaw)]
 )
 def test_tangent_is_the_derivative_of_the_residual(name, formulation):
     """K w against differences of the residual, fourth order; w K v = v K w iff an energy exists."""
-    kind = MATERIALS[name]
-    laws = {"west": kind(**kind.example), "east": kind(**{**kind.example, **OTHER.get(name, {})})}
+    laws = {"west": make(name), "east": make(name, **OTHER.get(name, {}))}
     problem = Problem(
         square(),
         laws,
@@ -246,7 +246,7 @@ def test_residual_is_the_sum_of_its_terms(materials, degree, load):
     "name", [n for n, kind in MATERIALS.items() if kind(**kind.example).has_energy]
 )
 def test_internal_forces_are_the_derivative_of_the_energy(name):
-    problem = Problem(square(), MATERIALS[name](**MATERIALS[name].example), degree=2)
+    problem = Problem(square(), make(name), degree=2)
     energy = compiled(problem, [problem.weak_form.strain_energy])[0]
     force = compile_forms(problem.body.comm, [problem.weak_form.internal], problem.jit)[0]
     u, w, h = wave(problem, 1), wave(problem, 2), 1e-3

@@ -6,9 +6,9 @@ Where the command line names files, all of their tests run, whatever set they be
     quick set      what is not `long`, and of      one parameter of every third test of those that
                    each test QUICK parameters,     the rest runs on so many ranks, if it is neither
                    of a `sample(k)` k              `long` nor SLOW; on 3 of every sixth
-    rest (--rest)  all but the quick set and what  MOST parameters of each test of the files that
-                   is `spare`                      run on n ranks; where they run on 2 and on 3,
-                                                   one test there, the next here, `long` ones on 2
+    rest (--rest)  PLENTY parameters of each       MOST parameters of each test of the files that
+                   test, but the quick set and     run on n ranks; where they run on 2 and on 3,
+                   what is `spare`                 one test there, the next here, `long` ones on 2
     all (--all)    every test                      every test and parameter of these files that is
                                                    not ENDURING, on each number of ranks that they
                                                    run on
@@ -214,6 +214,7 @@ SHARED = {
     "solvers/statics/test_statics.py",
     "verification/test_patch.py",
     "verification/test_rank_agreement.py",
+    "verification/test_plasticity.py",
     "verification/test_relaxation.py",
     "verification/test_tetrahedron.py",
 }
@@ -227,8 +228,10 @@ ENDURING = ("fifty_periods", "test_second_order", "to_second_order")
 """In names of tests of orders and periods in time, thousands of small steps, in which ranks
 that wait for each other take minutes each: on one rank only; the steps are the same on several."""
 QUICK = 4
-"""Parameters of each test in the quick set, unless it says so itself; all run in the rest."""
-MOST, MOST_OF_LAWS = 3, 1
+"""Parameters of each test in the quick set, unless it says so itself."""
+PLENTY = 12
+"""Parameters of each test on one rank in the rest: longer lists run whole by --all."""
+MOST, MOST_OF_LAWS = 2, 1
 """Parameters of each test on several ranks, and of one of LAWS: longer lists are of laws, bodies
 and words, in which ranks take no part; all run on one rank, and on several by --all."""
 
@@ -308,6 +311,8 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
                 mine = _on_ranks(mine, ranks)
         if not config.getoption("all"):
             mine = [item for item in mine if item.get_closest_marker("spare") is None]
+            if ranks == 1:
+                mine = [item for group in _alike(mine) for item in _spread(group, PLENTY)]
             quick = set(map(id, _quick(mine, ranks)))
             rest = config.getoption("rest")
             mine = [item for item in mine if (id(item) in quick) != rest]

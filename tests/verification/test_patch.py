@@ -15,6 +15,7 @@ import pytest
 import ufl
 from dolfinx import fem
 from helpers import reference_energies
+from helpers.laws import make
 from mpi4py import MPI
 
 from dolfin_elastic import (
@@ -119,7 +120,7 @@ def test_affine_displacement_of_the_boundary(comm, name, dim, degree):
     body, size = make_body(dim)
     H = np.zeros((3, 3))
     H[:dim, :dim] = H2 if dim == 2 else H3
-    law = MATERIALS[name](**MATERIALS[name].example)
+    law = make(name)
     support = Support(on=list(body.surfaces), displacement=affine(H[:dim, :dim]))
     problem = Problem(body, law, supports=[support], degree=degree)
     *_, state = Statics(problem, rtol=1e-14).steps()

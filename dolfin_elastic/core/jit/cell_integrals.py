@@ -12,12 +12,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
-from typing import Any, NamedTuple, Self
+from typing import NamedTuple, Self
 
 import cffi
 import numpy as np
 from dolfinx import fem
-from dolfinx.cpp.fem import pack_constants
+from dolfinx.cpp.fem import Function_float64, pack_constants
 from ufl.algorithms import extract_coefficients
 from ufl.core.expr import Expr
 
@@ -115,7 +115,7 @@ class _Room:
     kept: list[AnyArray]
 
     @classmethod
-    def of(cls, coefficients: Sequence[Any], w: fem.Function) -> Self:
+    def of(cls, coefficients: Sequence[Function_float64], w: fem.Function) -> Self:
         """For functions of DOLFINx's C++, in the order of the kernel."""
         first, at = None, 0
         kept, rows = list[AnyArray](), list[int]()
@@ -138,7 +138,7 @@ def can_be_packed(coefficient: object, w: fem.Function) -> bool:
     """Whether the loops here can hand a coefficient of a form to a kernel.
 
     Args:
-        coefficient: UFL's.
+        coefficient: As `extract_coefficients` gives it.
     """
     if not isinstance(coefficient, fem.Function):
         return False

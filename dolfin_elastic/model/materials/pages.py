@@ -25,7 +25,7 @@ take 1 to 7 seconds on a busy machine of two cores (`hencky` the longest, then `
 terms), and as long again for each further material.  Later runs use the cache.  A change of a
 constant needs no compilation.  An `ogden` with another number of terms does, and so does the first
 body of at least 10 000 elements a rank, for which eight elements are computed at once."""
-KEYS = {"lmbda": "lambda"}
+KEYS = {"lmbda": "lambda", "yield_stress": "yield"}
 """Field to the key that case files prefer."""
 
 
@@ -76,9 +76,15 @@ def _properties(kind: type[Law]) -> str:
 
 
 def _example(kind: type[Law]) -> str:
-    lines = [f"{key} = {json.dumps(value)}" for key, value in kind.example.items()]
+    lines = [f"{KEYS.get(key, key)} = {_toml(value)}" for key, value in kind.example.items()]
     table = "\n".join(["[materials.part]", f'law = "{kind.name()}"', *lines])
     return f"```toml\n{table}\n```"
+
+
+def _toml(value: object) -> str:
+    if not isinstance(value, dict):
+        return json.dumps(value)
+    return "{" + ", ".join(f"{key} = {_toml(one)}" for key, one in value.items()) + "}"
 
 
 def overview() -> str:

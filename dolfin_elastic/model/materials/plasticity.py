@@ -105,7 +105,12 @@ def _read(value: object) -> object:
 if TYPE_CHECKING:
     Hardening: TypeAlias = float | HardeningCurve
 else:
-    Hardening = Annotated[float, Quantity("Pa", HardeningCurve), BeforeValidator(_read)]
+    _OrRows = Annotated[float, Quantity("Pa", HardeningCurve)] | tuple[tuple[Number, Stress], ...]
+    Hardening = Annotated[
+        float,
+        Quantity("Pa", HardeningCurve),
+        BeforeValidator(_read, json_schema_input_type=_OrRows),
+    ]
     """The slope of the yield stress over the equivalent plastic strain [Pa], or a curve."""
 
 
@@ -124,7 +129,7 @@ class Plastic(Isotropic, SplitLaw):
     """
 
     yield_stress: Stress | None = Field(
-        default=None, gt=0, validation_alias=AliasChoices("yield", "yield_stress")
+        default=None, gt=0, validation_alias=AliasChoices("yield_stress", "yield")
     )
     hardening: Hardening = 0.0
     kinematic: Stress = Field(default=0.0, ge=0)

@@ -14,7 +14,7 @@ import pytest
 import ufl
 from helpers import reference_energies as reference
 from helpers.law_at_points import Point
-from helpers.laws import FREE, ROLLERS, SIZE, homogeneous, random_F, rotation
+from helpers.laws import FREE, ROLLERS, SIZE, homogeneous, make, random_F, rotation
 from mpi4py import MPI
 from ufl.algorithms import expand_derivatives
 
@@ -57,8 +57,7 @@ ENERGIES = [name for name, kind in MATERIALS.items() if name in reference.ENERGI
 
 
 def law_of(name: str, **more: Any) -> Law:
-    kind = MATERIALS[name]
-    return kind(**{**kind.example, **more})
+    return make(name, **more)
 
 
 def compare(law: Law, states: dict[str, np.ndarray], tolerance: float) -> None:

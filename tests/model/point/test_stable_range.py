@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from helpers.laws import make
 from scipy.optimize import brentq
 
 from dolfin_elastic import MooneyRivlin, StVenantKirchhoff, Yeoh
@@ -65,5 +66,5 @@ def test_what_limits_a_law_is_named():
 @pytest.mark.long
 @pytest.mark.parametrize("name", [n for n, law in MATERIALS.items() if not law.linear])
 def test_laws_that_are_not_said_to_be_limited_are_stable(name):
-    law = MATERIALS[name](**MATERIALS[name].example)
+    law = make(name)
     assert bool(limits(law)) == law.limited

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.laws import make
 from mpi4py import MPI
 from petsc4py import PETSc
 
@@ -93,7 +94,7 @@ def order(residuals: tuple[float, ...], floor: float) -> float:
 @pytest.mark.parametrize("load", ["traction", "displacement"])
 @pytest.mark.parametrize("name", [n for n, kind in MATERIALS.items() if not kind.linear])
 def test_quadratic(name, load):
-    law = MATERIALS[name](**MATERIALS[name].example)
+    law = make(name)
     problem = block(law) if load == "traction" else stretched(law, 0.2)
     *_, state = Statics(problem, steps=1, rtol=1e-13).steps()
     # Round-off of the nodal forces of this mesh is 1e-10 N.

@@ -45,6 +45,11 @@ class Logarithmic(Isotropic, SplitLaw):
         """F^-T."""
         return cofactor(F) / ufl.det(F)
 
+    def strain(self, F: Expr) -> Expr:
+        """The logarithmic strain ln U, which F^T P = 2 mu ln U + lmbda ln J I gives."""
+        shape = ufl.sym(F.T * self.shape_stress(F)) / (2 * self.mu)
+        return shape + self.volume_strain(F) / 3 * ufl.Identity(3)
+
 
 class Hencky(Logarithmic):
     """Hooke's law between the Kirchhoff stress and the logarithmic strain.
@@ -57,8 +62,3 @@ class Hencky(Logarithmic):
     """
 
     law: Literal["hencky"] = "hencky"
-
-    def strain(self, F: Expr) -> Expr:
-        """The logarithmic strain ln U, which F^T P = 2 mu ln U + lmbda ln J I gives."""
-        shape = ufl.sym(F.T * self.shape_stress(F)) / (2 * self.mu)
-        return shape + self.volume_strain(F) / 3 * ufl.Identity(3)

@@ -42,7 +42,7 @@ class J2(Plastic):
     example: ClassVar[Mapping[str, object]] = {
         "E": "210 GPa",
         "nu": 0.3,
-        "yield": "250 MPa",
+        "yield_stress": "250 MPa",
         "hardening": "1 GPa",
     }
 

@@ -49,7 +49,7 @@ class J2Logarithmic(Plastic, Logarithmic):
     example: ClassVar[Mapping[str, object]] = {
         "E": "210 GPa",
         "nu": 0.3,
-        "yield": "250 MPa",
+        "yield_stress": "250 MPa",
         "hardening": {"saturation": "400 MPa", "rate": 15, "slope": "100 MPa"},
     }
 
