@@ -29,6 +29,7 @@ from dolfin_elastic.model.loads import LOADS, Load
 from dolfin_elastic.model.materials.law import Law
 from dolfin_elastic.model.materials.laws.linear_elastic import LinearElastic
 from dolfin_elastic.model.materials.pages import summary
+from dolfin_elastic.model.materials.plasticity import HardeningCurve
 from dolfin_elastic.model.materials.registry import MATERIALS
 from dolfin_elastic.model.materials.user import FormulaEnergy, SplitFormulaEnergy
 from dolfin_elastic.model.supports.displacement import Restraint
@@ -81,6 +82,7 @@ CURVE: Schema = {
 _SHORT_FORMS: Mapping[type[Record], list[Schema]] = {
     ProbePoint: [{"type": "array", "items": NUMBER, "minItems": 2, "maxItems": 3}],
     CheckpointSettings: [{"type": "string"}, {"type": "boolean"}],
+    HardeningCurve: [{"type": "array", "items": {"type": "array", "items": NUMBER}}],
 }
 """What may stand in place of a table."""
 _LIMITS: Mapping[type[object], str] = {
@@ -183,7 +185,7 @@ class _Writer:
             number = {**NUMBER, **limits, "x-unit": quantity.unit}
             others = [FIELD] if varies else []
             if isinstance(quantity.table, type) and issubclass(quantity.table, Record):
-                others.append(self._reference(quantity.table))
+                others.append(self._class(quantity.table))
             return {"anyOf": [number, *others]} if others else number
         return {**self._bare(kind, varies=varies), **limits}
 

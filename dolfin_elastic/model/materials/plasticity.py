@@ -105,12 +105,7 @@ def _read(value: object) -> object:
 if TYPE_CHECKING:
     Hardening: TypeAlias = float | HardeningCurve
 else:
-    _OrRows = Annotated[float, Quantity("Pa", HardeningCurve)] | tuple[tuple[Number, Stress], ...]
-    Hardening = Annotated[
-        float,
-        Quantity("Pa", HardeningCurve),
-        BeforeValidator(_read, json_schema_input_type=_OrRows),
-    ]
+    Hardening = Annotated[float, Quantity("Pa", HardeningCurve), BeforeValidator(_read)]
     """The slope of the yield stress over the equivalent plastic strain [Pa], or a curve."""
 
 
