@@ -104,6 +104,11 @@ class RegionHistory:
         for name, values in self.memory.fold(self.values, dt).items():
             self._past[name].x.array.reshape(-1, values.shape[1])[self._rows] = values
 
+    @property
+    def past(self) -> list[fem.Function]:
+        """What the law over a step sees of the history, see `Memory.seen`."""
+        return list(self._past.values())
+
     def numbers_at_end(self, law: SteppedLaw, F: Expr) -> Expr:
         """All that `commit` takes, as one UFL vector."""
         found = law.at_end(F)
@@ -150,6 +155,7 @@ class History:
 
     Attributes:
         timed: A material depends on how long a step takes.
+        yields: A material depends on previous strains, however long they took.
         uncertainty: By how much the work of the last committed step may be wrong [J]: half the
             change of forces times the change of displacement.
 
@@ -167,7 +173,9 @@ class History:
             for region in context.regions
             if region.law.memory is not None
         }
-        self.timed = any(part.memory.timed for part in self._regions.values())
+        memories = [part.memory for part in self._regions.values()]
+        self.timed = any(memory.timed for memory in memories)
+        self.yields = not all(memory.timed for memory in memories)
         weak_form.stepped.update({name: part.law for name, part in self._regions.items()})
         self._t: float | None = None  # of the past that is committed
         self._now = 0.0
@@ -182,6 +190,11 @@ class History:
     def passes(self) -> bool:
         """Time passes: not in a preload, whose materials are those of a sudden load."""
         return self._t is not None
+
+    @property
+    def past(self) -> list[fem.Function]:
+        """Fields of the forms that change when a step begins or is committed."""
+        return [function for part in self._regions.values() for function in part.past]
 
     def set_time(self, t: float) -> None:
         """Sets the laws over the step from the last committed state to a time [s]. Local."""
@@ -211,12 +224,17 @@ class History:
         self.forget()
         self._begin_at(t, 0.0)
 
-    def _begin_at(self, t: float | None, work: float) -> None:
+    def _begin_at(self, t: float | None, work: float, forces: FloatArray | None = None) -> None:
+        """Begins a step.
+
+        Args:
+            forces: Those of the branches, if they are known.
+        """
         self._t, self._step, self._work = t, None, work
         self.set_time(self._now if t is None else t)
         if self.passes:
             self._compile()
-            self._before = self._forces(), self._w.x.array.copy()
+            self._before = self._forces() if forces is None else forces, self._w.x.array.copy()
 
     def _compile(self) -> None:
         """Compiles what is evaluated at the end of a step, once. Collective."""
@@ -248,7 +266,7 @@ class History:
         By the trapezoidal rule over each step.  They have stored some of it and lost the rest; how
         much of each is not known of laws of large strains.  0 where the body grows.
         """
-        return self._work + self._over_step()[0]
+        return self._work + self._over_step(self._forces())[0]
 
     def spent(self) -> dict[str, float]:
         """What the stored energy does not contain, by account [J]. Collective.
@@ -263,11 +281,15 @@ class History:
             result["dissipated"] = total(self._comm, float(fem.assemble_scalar(self._lost)))
         return result
 
-    def _over_step(self) -> tuple[float, float]:
-        """Work of the present step, and by how much it may be wrong [J]. Collective."""
+    def _over_step(self, now: FloatArray) -> tuple[float, float]:
+        """Work of the present step, and by how much it may be wrong [J]. Collective.
+
+        Args:
+            now: From `_forces` [N].
+        """
         if self._t is None or self._branches is None:
             return 0.0, 0.0
-        (before, w), now = self._before, self._forces()
+        before, w = self._before
         moved = self._w.x.array - w
         local = np.array([np.dot(before + now, moved), np.dot(now - before, moved)]) / 2
         work, change = total(self._comm, local)
@@ -279,12 +301,14 @@ class History:
         if self._step is None:
             return
         self._compile()
-        work, self.uncertainty = self._over_step()
+        forces = self._forces()
+        work, self.uncertainty = self._over_step(forces)
         self._work += work
         for name, part in self._regions.items():
             if self.passes or not part.memory.timed:
                 part.commit(self._at_end[name], self._step)
-        self._begin_at(self._now if self.passes else None, self._work)
+        # The stress of a state is that of the end of a step, and of the begin of the next.
+        self._begin_at(self._now if self.passes else None, self._work, forces)
 
     # --- restarts ---
 

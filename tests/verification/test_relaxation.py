@@ -405,10 +405,9 @@ def test_statics_refuses(keys: dict[str, Any], where: str) -> None:
     assert error.value.where == where
 
 
-@pytest.mark.parametrize("scheme", ["central-differences", "alpha2"])
-def test_motion_refuses(scheme: str) -> None:
+def test_motion_refuses() -> None:
     with pytest.raises(InputError, match="materials that remember"):
-        Dynamics(pulled(large(density=1), degree=1), scheme=scheme, end=1, dt=0.1)
+        Dynamics(pulled(large(density=1), degree=1), scheme="alpha2", end=1, dt=0.1)
 
 
 @pytest.mark.parametrize(
@@ -477,7 +476,7 @@ def test_statics_show_their_time(folder: Path) -> None:
     [
         ({}, "the steps in time are not given"),
         ({"statics": {"method": "arc-length"}}, "along a path no time passes"),
-        ({"dynamics": {"scheme": "symplectic-euler", "end": 1}}, "materials that remember"),
+        ({"dynamics": {"scheme": "alpha2", "end": 1, "dt": 0.1}}, "materials that remember"),
     ],
 )
 def test_check_refuses(tables: dict[str, Any], text: str) -> None:

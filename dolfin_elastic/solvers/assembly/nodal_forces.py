@@ -21,7 +21,8 @@ class Forces:
 
     Cells whose forces depend on the displacement alone are those of the residual of statics.  Of
     all other integrals, coefficients and constants are packed once.  What changes from step to
-    step, the displacement and the velocity that dashpots see, is read into the packed arrays again;
+    step, the displacement, what materials remember and the velocity that dashpots see, is read into
+    the packed arrays again;
     numbers and formulas that change with time are taken over by `renew`, and what a program has
     changed by `pack_again`.
 
@@ -109,7 +110,8 @@ class _Packed:
         self._form = form
         self._packed = pack_coefficients(form._cpp_object)
         formulas = problem.context.formulas
-        followed = (problem.u, problem.context.velocity, *problem.terms.past.values())
+        past = () if problem.history is None else problem.history.past
+        followed = (problem.u, problem.context.velocity, *problem.terms.past.values(), *past)
         moving = followed, () if formulas is None else formulas.moving
         self._reads, self._timed = (
             [read for field in fields for read in _reads(form, field, self._packed)]

@@ -277,7 +277,7 @@ def refuse_memory(settings: DynamicsSettings, *, timed: bool) -> None:
         timed: A material depends on how long a step takes.
 
     Raises:
-        InputError: The scheme is explicit, or PETSc's own, or there is a strain at the start.
+        InputError: The scheme is PETSc's own, or there is a strain at the start.
     """
     if timed and (settings.preload or settings.start is not None):
         raise InputError(
@@ -285,7 +285,7 @@ def refuse_memory(settings: DynamicsSettings, *, timed: bool) -> None:
             where=f"dynamics.{'preload' if settings.preload else 'start'}",
             expected="leave it out: let the load grow slowly in the motion, or no `prony`",
         )
-    if not settings.implicit or settings.scheme == "alpha2":
+    if settings.scheme == "alpha2":
         raise InputError(
             f"the scheme '{settings.scheme}' does not compute materials that remember",
             where="dynamics.scheme",

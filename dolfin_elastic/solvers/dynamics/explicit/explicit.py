@@ -94,6 +94,8 @@ class Explicit:
     def _prepare(self, scheme: type[ExplicitScheme], dt: float | None, safety: float) -> None:
         problem, v, a = self.problem, self.v, self.assembler
         problem.set_time(0.0)  # what is packed below are the loads of motion
+        if problem.history is not None:
+            problem.history.begin()
         self._monitor, self.mass = StabilityMonitor(problem, a), lumped(problem, a)
         self._supports, self._last = SupportForces(a), StateCopy()
         self.size = StepSize(problem, a, self.mass, chosen=dt, safety=safety)
@@ -128,6 +130,7 @@ class Explicit:
         """Forces, acceleration and energies of the initial state."""
         self.scheme.update_dashpots()
         self.scheme.assemble_forces()
+        self.scheme.commit()  # the body is strained suddenly, at the start
         self.work.begin()
         self.scheme.start()
         first = self._checked_state()
@@ -301,7 +304,11 @@ class Explicit:
             "lookout": self._monitor.restart_state(),
             **self.size.restart_state(),
         }
-        return RestartState(self._fields(), numbers)
+        history = self.problem.history
+        if history is None:
+            return RestartState(self._fields(), numbers)
+        numbers["history"] = history.restart_state()
+        return RestartState(self._fields() | history.fields(), numbers)
 
     def _fields(self) -> dict[str, fem.Function]:
         fields = {"displacement": self.problem.u, "velocity": self.v, "rates": self.size.field}
@@ -312,8 +319,12 @@ class Explicit:
 
     def restore(self, saved: SavedState) -> None:
         """See `Restartable`. Collective."""
-        saved.fill(self._fields())
+        history = self.problem.history
+        past = {} if history is None else history.fields()
+        saved.fill(self._fields() | past)
         numbers = saved.numbers
+        if history is not None:
+            history.restore(past, numbers["history"])
         self.every = numbers["every"]
         self._monitor.restore(numbers["lookout"])
         self.size.restore(numbers)

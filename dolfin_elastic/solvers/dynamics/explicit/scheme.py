@@ -159,7 +159,8 @@ class ExplicitScheme(ABC):
         self.a = fem.Function(self.problem.V, name="acceleration")
         residual = assembler.residual
         self._forces = Forces(self.problem, residual.work, residual.vector, points=-1.0)
-        self._supports_move, self._timed = supports_move(self.problem), changes(self.problem)
+        self._supports_move, self._history = supports_move(self.problem), self.problem.history
+        self._timed = changes(self.problem) or self._history is not None
         self._imposed = self._supports_move or self.problem.constraints.skewed
         arrays = self.problem.u.x.array, v.x.array, assembler.residual.vector.array
         self._u, self.velocity, self.out_of_balance = (array[: assembler.size] for array in arrays)
@@ -245,6 +246,15 @@ class ExplicitScheme(ABC):
         if self._work.paths:
             self._work.step(du)
         timing.add("assemble", perf_counter() - middle)
+        self.commit()
+
+    def commit(self) -> None:
+        """Makes the present state the past of materials that remember. Collective.
+
+        No step is ever taken back, and the forces of this one are there already.
+        """
+        if self._history is not None:
+            self._history.commit()
 
     def _without_round_off(self, t: float) -> float:
         """A time without the round-off of a sum: of equal steps, and the end."""

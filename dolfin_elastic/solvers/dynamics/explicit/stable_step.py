@@ -104,6 +104,9 @@ class StepSize:
         self._nodal_bounds = fem.Function(problem.V)
         self._places = slice(0, assembler.size, problem.body.dim)
         self._square = self._found_square = 0.0
+        # What yields is softer, and as stiff as before when it is unloaded in the next step.
+        history = problem.history
+        self._unloads, self._least = history is not None and history.yields, 0.0
         self._interval, self._found_at, self._bound_in_doubt = CHECKS[0], 0, False
         self.stable, self.dt, self.next_check = np.inf, np.inf, CHECKS[0]
 
@@ -168,6 +171,7 @@ class StepSize:
             InputError: The user's step is above the stable one.
         """
         self._find_frequency(0)
+        self._least = self._square if self._unloads else 0.0
         if self._chosen is None:
             self._set_step()
             step = min(self.dt, end)
@@ -271,7 +275,7 @@ class StepSize:
             self.cell_bound(),
         )
         square = min(bounds) if min(bounds) < np.inf else 0.0
-        self._found_square = self._square = _same(square)
+        self._found_square = self._square = max(_same(square), self._least)
         if self.bound is not None:
             self._nodal_bounds.x.array[self._places] = self.bound.evaluate()
         self.stable, self._found_at = self.step_for(self._square), step
@@ -293,7 +297,8 @@ class StepSize:
             self._find_frequency(step)
             return
         # The stiffest motion of a cell may grow more than the norm of its matrix does.
-        self._square = _same(min(worst, self._found_square * max(growth, 1.0) ** 1.5))
+        square = _same(min(worst, self._found_square * max(growth, 1.0) ** 1.5))
+        self._square = max(square, self._least)
         self.stable = self.step_for(self._square)
 
     # --- restarts ---
@@ -312,6 +317,7 @@ class StepSize:
             "interval": self._interval,
             "due": self.next_check,
             "doubtful": self._bound_in_doubt,
+            "least": self._least,
         }
 
     def restore(self, saved: Mapping[str, Any]) -> None:
@@ -319,6 +325,7 @@ class StepSize:
         self._square, self._found_square = saved["square"], saved["known_square"]
         self._found_at, self._interval = saved["found_at"], saved["interval"]
         self.next_check, self._bound_in_doubt = saved["due"], saved["doubtful"]
+        self._least = float(saved.get("least", 0.0))
         self.stable = self.step_for(self._square)
         if self._chosen is None:
             self._set_step()
