@@ -17,7 +17,6 @@ import ufl
 from dolfinx import fem
 from ufl.core.expr import Expr
 
-from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.jit import compile_forms, options
 from dolfin_elastic.core.jit.cell_integrals import CellExpression
 from dolfin_elastic.core.parallel import total
@@ -27,12 +26,10 @@ from dolfin_elastic.mesh.body import Body
 from dolfin_elastic.model.materials.growth import GrownLaw
 from dolfin_elastic.model.materials.memory import Memory
 from dolfin_elastic.model.materials.stepped import SteppedLaw
+from dolfin_elastic.problem.constraints.periodic.unit_cell import Cell
 from dolfin_elastic.problem.context import FormContext
 from dolfin_elastic.problem.material_regions import MaterialRegion
 from dolfin_elastic.problem.weak_form import WeakForm
-
-PERIODIC = "a periodic cell of materials that remember is not computed"
-NO_MEMORY = "materials without `prony` or plasticity, or no cell"
 
 
 class RegionHistory:
@@ -151,6 +148,7 @@ class History:
 
     Args:
         weak_form: Whose laws become those over a step.
+        cell: Of a periodic problem, whose displacement is not all in the unknowns.
         grows: There is growth or warmth, which stores energy of its own.
 
     Attributes:
@@ -158,15 +156,13 @@ class History:
         yields: A material depends on previous strains, however long they took.
         uncertainty: By how much the work of the last committed step may be wrong [J]: half the
             change of forces times the change of displacement.
-
-    Raises:
-        InputError: A periodic cell.
     """
 
-    def __init__(self, context: FormContext, weak_form: WeakForm, *, grows: bool) -> None:
-        if context.unknowns.U is not context.unknowns.V:
-            raise InputError(PERIODIC, where="periodic", expected=NO_MEMORY)
+    def __init__(
+        self, context: FormContext, weak_form: WeakForm, cell: Cell | None, *, grows: bool
+    ) -> None:
         self._context, self._weak_form, self._grows = context, weak_form, grows
+        self._cell = cell
         self._comm, self._w = context.body.comm, context.unknowns.w
         self._regions = {
             region.name: RegionHistory(context.body, region, weak_form.rule(region))
@@ -182,7 +178,7 @@ class History:
         self._step: float | None = None
         self._work = self.uncertainty = 0.0
         self._at_end: dict[str, CellExpression] = {}
-        self._branches: fem.Form | None = None
+        self._branches: list[fem.Form] = []
         self._lost: fem.Form | None = None
         self._before: tuple[FloatArray, FloatArray] = (np.empty(0), np.empty(0))
 
@@ -234,7 +230,7 @@ class History:
         self.set_time(self._now if t is None else t)
         if self.passes:
             self._compile()
-            self._before = self._forces() if forces is None else forces, self._w.x.array.copy()
+            self._before = self._forces() if forces is None else forces, self._moved()
 
     def _compile(self) -> None:
         """Compiles what is evaluated at the end of a step, once. Collective."""
@@ -247,18 +243,33 @@ class History:
                 elastic = response.elastic(F) if isinstance(response, GrownLaw) else F
                 numbers = part.numbers_at_end(part.law, elastic)
                 self._at_end[region.name] = CellExpression(numbers, part.points, w, jit)
-        forms = [self._weak_form.branches, self._weak_form.lost]
-        made = iter(compile_forms(self._comm, [f for f in forms if not f.empty()], jit))
-        if not self._grows:
-            self._branches = None if forms[0].empty() else next(made)
-            self._lost = None if forms[1].empty() else next(made)
+        if self._grows:
+            return
+        branches = [self._weak_form.branches()]
+        if self._cell is not None:
+            branches.append(self._weak_form.branches(of_cell=True))
+        if not branches[0].empty():
+            self._branches = compile_forms(self._comm, branches, jit)
+        if not (lost := self._weak_form.lost).empty():
+            self._lost = compile_forms(self._comm, [lost], jit)[0]
 
     def _forces(self) -> FloatArray:
-        """This rank's share of the nodal forces of the branches, not summed over ranks [N]."""
-        result = np.zeros(len(self._w.x.array))
-        if self._branches is not None:
-            fem.assemble_vector(result, self._branches)
+        """This rank's share of the nodal forces of the branches, not summed over ranks [N].
+
+        Of a periodic cell first on the unknowns, then on the macroscopic displacement.
+        """
+        result = np.zeros_like(self._moved())
+        size = len(self._w.x.array)
+        for form, part in zip(self._branches, (result[:size], result[size:]), strict=False):
+            fem.assemble_vector(part, form)
         return result
+
+    def _moved(self) -> FloatArray:
+        """What `_forces` do work on: a copy of the local unknowns and, of a cell, more [m]."""
+        w = self._w.x.array
+        if self._cell is None:
+            return w.copy()
+        return np.append(w, self._cell.affine_at(self._context.unknowns.places))
 
     def work(self) -> float:
         """Work done on the branches since the beginning, up to the present state [J]. Collective.
@@ -287,10 +298,10 @@ class History:
         Args:
             now: From `_forces` [N].
         """
-        if self._t is None or self._branches is None:
+        if self._t is None or not self._branches:
             return 0.0, 0.0
         before, w = self._before
-        moved = self._w.x.array - w
+        moved = self._moved() - w
         local = np.array([np.dot(before + now, moved), np.dot(now - before, moved)]) / 2
         work, change = total(self._comm, local)
         return float(work), abs(float(change))

@@ -460,16 +460,13 @@ class Problem(Shown):
 
 
 def _history(problem: Problem) -> History | None:
-    """What the materials of a problem remember; None where none does. Collective.
-
-    Raises:
-        InputError: A periodic cell.
-    """
+    """What the materials of a problem remember; None where none does. Collective."""
     if all(region.law.memory is None for region in problem.regions):
         return None
     from dolfin_elastic.problem.history import History
 
-    return History(problem.context, problem.weak_form, grows=bool(problem.eigenstrains))
+    grows = bool(problem.eigenstrains)
+    return History(problem.context, problem.weak_form, problem.cell, grows=grows)
 
 
 def over_step(problem: Problem) -> Problem:

@@ -165,10 +165,17 @@ class WeakForm:
         stretch = unknowns.auxiliary("stretch", dw) if unknowns.has("stretch") else None
         return gradient_variation(context.geometry, unknowns.displacement(dw), context.X, stretch)
 
-    @property
-    def branches(self) -> ufl.Form:
-        """Of the internal virtual work that of `SteppedLaw.branch_stress`; may be empty."""
-        dF, form = self._variation(ufl.TestFunction(self._unknowns.W)), ufl.Form([])
+    def branches(self, *, of_cell: bool = False) -> ufl.Form:
+        """Of the internal virtual work that of `SteppedLaw.branch_stress`; may be empty.
+
+        Args:
+            of_cell: Over the macroscopic displacement of a periodic cell, by a test function in V.
+        """
+        context, form = self._context, ufl.Form([])
+        dF = self._variation(ufl.TestFunction(self._unknowns.W))
+        if of_cell:
+            v = ufl.TestFunction(self._unknowns.V)
+            dF = gradient_variation(context.geometry, v, context.X, None)
         for region, law, F in self._stepped():
             if (stress := law.branch_stress(F)) is not None:
                 form += ufl.inner(stress, dF) * self.volume(region, self.rule(region))

@@ -34,7 +34,6 @@ from dolfin_elastic.model.supports.springs import ResistingSupport
 from dolfin_elastic.model.tie import EXPLICIT_TIES, IMPLICIT
 from dolfin_elastic.model.values import sized
 from dolfin_elastic.problem.coefficients import CoefficientBinder
-from dolfin_elastic.problem.history import NO_MEMORY, PERIODIC
 from dolfin_elastic.problem.material_regions import check_user_energies, volume_modulus
 from dolfin_elastic.problem.mesh_fields import check_fields
 from dolfin_elastic.problem.problem import placed_axes
@@ -91,14 +90,12 @@ def _check_memory(case: Case, body: Body) -> None:
     """What materials that remember do not allow.
 
     Raises:
-        InputError: A periodic cell, or an analysis or steps in which no time passes.
+        InputError: An analysis or steps in which no time passes.
     """
     memories = [m.law.memory for m in case.materials.values() if m.law.memory is not None]
     if not memories:
         return
     timed = any(memory.timed for memory in memories)
-    if case.periodic is not None:
-        raise CaseError(PERIODIC, where="periodic", expected=NO_MEMORY)
     if case.dynamics is not None:
         dynamics.refuse_memory(case.dynamics, timed=timed)
     elif case.analysis == "statics":
