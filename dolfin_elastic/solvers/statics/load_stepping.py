@@ -342,6 +342,10 @@ class LoadStepping:
         if left_path:
             self._sizes.begin_anew()
         self._t = goal
+        self._remember()
+
+    def _remember(self) -> None:
+        """Makes the present state, which is kept, the past of the materials. Collective."""
         if self._problem.history is not None:
             self._problem.history.commit()
 
@@ -507,6 +511,7 @@ class LoadStepping:
                 good = self._newton.unknowns() if point.good is None else point.good
                 raise self._failure(point.t, point.t, result, good, point.failed)
             self._t = point.t
+            self._remember()
             self._limits = tuple((limit.t, limit.error) for limit in arc.limits)
             state = self._states.state(point.t, result, verdict=point.verdict, limits=self._limits)
             yield self._committed(state)

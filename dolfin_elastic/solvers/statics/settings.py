@@ -97,11 +97,9 @@ def refuse_memory(settings: StaticsSettings, *, timed: bool) -> None:
         InputError: Along the path of equilibria no time passes, or nobody has said how fine the
             steps in time are.
     """
-    if settings.method == "arc-length":
+    if timed and settings.method == "arc-length":
         raise InputError(
-            "a material relaxes in time, and along a path no time passes"
-            if timed
-            else "a material yields, which a path followed by its length cannot take back",
+            "a material relaxes in time, and along a path no time passes",
             where="statics.method",
             expected='"load", or an elastic material',
         )
