@@ -7,7 +7,7 @@ trace, and `History.commit` evaluates once at the accepted state.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from itertools import count
 
 import basix
@@ -18,7 +18,7 @@ from dolfinx import fem
 from ufl.core.expr import Expr
 
 from dolfin_elastic.core.jit import compile_forms, options
-from dolfin_elastic.core.jit.cell_integrals import CellExpression
+from dolfin_elastic.core.jit.cell_integrals import CellExpression, CellIntegrals, can_be_packed
 from dolfin_elastic.core.parallel import total
 from dolfin_elastic.core.timing import stage
 from dolfin_elastic.core.types import FloatArray
@@ -178,7 +178,7 @@ class History:
         self._step: float | None = None
         self._work = self.uncertainty = 0.0
         self._at_end: dict[str, CellExpression] = {}
-        self._branches: list[fem.Form] = []
+        self._branches: list[Callable[[FloatArray], None]] = []
         self._lost: fem.Form | None = None
         self._before: tuple[FloatArray, FloatArray] = (np.empty(0), np.empty(0))
 
@@ -249,9 +249,22 @@ class History:
         if self._cell is not None:
             branches.append(self._weak_form.branches(of_cell=True))
         if not branches[0].empty():
-            self._branches = compile_forms(self._comm, branches, jit)
+            self._branches = [
+                self._assembly(form, compiled)
+                for form, compiled in zip(
+                    branches, compile_forms(self._comm, branches, jit), strict=True
+                )
+            ]
         if not (lost := self._weak_form.lost).empty():
             self._lost = compile_forms(self._comm, [lost], jit)[0]
+
+    def _assembly(self, form: ufl.Form, compiled: fem.Form) -> Callable[[FloatArray], None]:
+        """Adds the vector of a form, by loops of our own where they can. Collective."""
+        (test,), w = form.arguments(), self._w
+        ours = test.ufl_function_space() == w.function_space
+        if ours and all(can_be_packed(field, w) for field in form.coefficients()):
+            return CellIntegrals(compiled, w, options(self._comm)).add_to
+        return lambda part: fem.assemble_vector(part, compiled)
 
     def _forces(self) -> FloatArray:
         """This rank's share of the nodal forces of the branches, not summed over ranks [N].
@@ -260,8 +273,8 @@ class History:
         """
         result = np.zeros_like(self._moved())
         size = len(self._w.x.array)
-        for form, part in zip(self._branches, (result[:size], result[size:]), strict=False):
-            fem.assemble_vector(part, form)
+        for add, part in zip(self._branches, (result[:size], result[size:]), strict=False):
+            add(part)
         return result
 
     def _moved(self) -> FloatArray:
