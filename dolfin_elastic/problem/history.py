@@ -19,17 +19,21 @@ from ufl.core.expr import Expr
 
 from dolfin_elastic.core.jit import compile_forms, options
 from dolfin_elastic.core.jit.cell_integrals import CellExpression, CellIntegrals, can_be_packed
-from dolfin_elastic.core.parallel import total
+from dolfin_elastic.core.parallel import largest, total
 from dolfin_elastic.core.timing import stage
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.mesh.body import Body
 from dolfin_elastic.model.materials.growth import GrownLaw
 from dolfin_elastic.model.materials.memory import Memory
+from dolfin_elastic.model.materials.prony import Prony
 from dolfin_elastic.model.materials.stepped import SteppedLaw
 from dolfin_elastic.problem.constraints.periodic.unit_cell import Cell
 from dolfin_elastic.problem.context import FormContext
 from dolfin_elastic.problem.material_regions import MaterialRegion
 from dolfin_elastic.problem.weak_form import WeakForm
+
+ROUND_OFF = 1e-12
+"""What a value may differ from its start by and count as unchanged."""
 
 
 class RegionHistory:
@@ -89,6 +93,14 @@ class RegionHistory:
         self.values = {
             v.name: np.tile(v.at_start, (len(self._rows), 1)) for v in self.memory.variables
         }
+
+    @property
+    def changed(self) -> bool:
+        """Whether a value differs from the start by more than round-off. Not collective."""
+        return any(
+            np.any(np.abs(self.values[v.name] - v.at_start) > ROUND_OFF * max(abs(v.start), 1.0))
+            for v in self.memory.variables
+        )
 
     def begin_step(self, dt: float, *, passes: bool) -> None:
         """Sets the law over a step from the history, of a length [s]. Not collective.
@@ -152,8 +164,10 @@ class History:
         grows: There is growth or warmth, which stores energy of its own.
 
     Attributes:
+        relaxes: A material has a Prony series.
         timed: A material depends on how long a step takes.
         yields: A material depends on previous strains, however long they took.
+        long_term: In place of a sudden load, all that relaxes has done so, until `begin`.
         uncertainty: By how much the work of the last committed step may be wrong [J]: half the
             change of forces times the change of displacement.
     """
@@ -172,7 +186,9 @@ class History:
         memories = [part.memory for part in self._regions.values()]
         self.timed = any(memory.timed for memory in memories)
         self.yields = not all(memory.timed for memory in memories)
+        self.relaxes = any(isinstance(memory, Prony) for memory in memories)
         weak_form.stepped.update({name: part.law for name, part in self._regions.items()})
+        self.long_term = False
         self._t: float | None = None  # of the past that is committed
         self._now = 0.0
         self._step: float | None = None
@@ -196,16 +212,25 @@ class History:
         """Sets the laws over the step from the last committed state to a time [s]. Local."""
         self._now = t
         step = 0.0 if self._t is None else max(t - self._t, 0.0)
+        if self.long_term:
+            step = np.inf
         if step != self._step:
             self._step = step
             for part in self._regions.values():
-                part.begin_step(step, passes=self.passes)
+                fades = self.long_term and isinstance(part.memory, Prony)
+                dt = step if fades or not self.long_term else 0.0
+                part.begin_step(dt, passes=self.passes or fades)
 
     def reset(self) -> None:
         """The body at rest: forgets all, and no time passes until `begin`. Local."""
         for part in self._regions.values():
             part.reset()
         self.forget()
+
+    def changed(self) -> bool:
+        """Whether a material remembers strains, however long they took. Collective."""
+        parts = [part for part in self._regions.values() if not part.memory.timed]
+        return largest(self._comm, float(any(part.changed for part in parts))) > 0.0
 
     def forget(self) -> None:
         """Forgets what depends on time, of which none passes until `begin`. Local."""
@@ -217,6 +242,7 @@ class History:
 
     def begin(self, t: float = 0.0) -> None:
         """Time passes from here, at the present state: forgets what depends on it. Collective."""
+        self.long_term = False
         self.forget()
         self._begin_at(t, 0.0)
 
@@ -330,7 +356,7 @@ class History:
         self._work += work
         for name, part in self._regions.items():
             if self.passes or not part.memory.timed:
-                part.commit(self._at_end[name], self._step)
+                part.commit(self._at_end[name], 0.0 if self.long_term else self._step)
         # The stress of a state is that of the end of a step, and of the begin of the next.
         self._begin_at(self._now if self.passes else None, self._work, forces)
 

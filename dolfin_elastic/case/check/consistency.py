@@ -29,6 +29,7 @@ from dolfin_elastic.mesh.body import Body
 from dolfin_elastic.model.axes import MATERIAL
 from dolfin_elastic.model.loads import Load
 from dolfin_elastic.model.materials.law import SplitLaw
+from dolfin_elastic.model.materials.prony import Prony
 from dolfin_elastic.model.supports.displacement import Normal
 from dolfin_elastic.model.supports.springs import ResistingSupport
 from dolfin_elastic.model.tie import EXPLICIT_TIES, IMPLICIT
@@ -40,6 +41,7 @@ from dolfin_elastic.problem.problem import placed_axes
 from dolfin_elastic.results.components import check_axes
 from dolfin_elastic.results.fields import FIBRE_FIELDS, check_field_names, field_table, has_fibre
 from dolfin_elastic.solvers.dynamics import settings as dynamics
+from dolfin_elastic.solvers.eigen.settings import refuse_stiffness
 from dolfin_elastic.solvers.statics import settings as statics
 
 
@@ -90,12 +92,17 @@ def _check_memory(case: Case, body: Body) -> None:
     """What materials that remember do not allow.
 
     Raises:
-        InputError: An analysis or steps in which no time passes.
+        InputError: An analysis or steps in which no time passes, or a stiffness to choose where
+            there is only one.
     """
     memories = [m.law.memory for m in case.materials.values() if m.law.memory is not None]
+    timed = any(memory.timed for memory in memories)
+    for table, modes in (("modal", case.modal), ("buckling", case.buckling)):
+        if modes is not None:
+            relaxes = any(isinstance(memory, Prony) for memory in memories)
+            refuse_stiffness(modes, table, relaxes=relaxes)
     if not memories:
         return
-    timed = any(memory.timed for memory in memories)
     if case.dynamics is not None:
         dynamics.refuse_memory(case.dynamics, timed=timed)
     elif case.analysis == "statics":
@@ -540,7 +547,9 @@ def _notes(case: Case) -> Iterator[str]:
         if material.law.viscosity is not None and (rate_free := _rate_free(case)):
             yield f"materials.{key_text(name)}: viscosity does nothing in {rate_free}"
         memory = material.law.memory
-        if memory is not None and memory.timed and case.gives_modes:
+        modes = case.modal or case.buckling
+        chosen = modes is not None and "stiffness" in modes.model_fields_set
+        if memory is not None and memory.timed and case.gives_modes and not chosen:
             yield (
                 f"materials.{key_text(name)}.prony: nothing relaxes in [{case.analysis}]: the "
                 "stiffness is that of a sudden load"

@@ -52,7 +52,7 @@ from dolfin_elastic.solvers.diagnostics.stability import FactorisedTangent
 from dolfin_elastic.solvers.eigen.critical_load import CriticalLoad
 from dolfin_elastic.solvers.eigen.mode_shapes import at_rest, refuse, shape
 from dolfin_elastic.solvers.eigen.preload import PreloadedAnalysis
-from dolfin_elastic.solvers.eigen.settings import BucklingSettings
+from dolfin_elastic.solvers.eigen.settings import BucklingSettings, refuse_stiffness
 from dolfin_elastic.solvers.eigen.slepc import DIRECT_LIMIT, Pair, destroy, prefixed
 from dolfin_elastic.solvers.linear.choice import Choice, LinearSettings, factorising
 from dolfin_elastic.solvers.statics.settings import StaticsSettings
@@ -87,6 +87,9 @@ class Buckling(PreloadedAnalysis):
         petsc: PETSc and SLEPc options, which win over everything.
     """
 
+    table = "buckling"
+    settings: BucklingSettings
+
     def __init__(
         self,
         problem: Problem,
@@ -99,6 +102,8 @@ class Buckling(PreloadedAnalysis):
     ) -> None:
         super().__init__(problem, statics, linear, petsc)
         self.settings = settings_from(BucklingSettings, settings, fields)
+        relaxes = problem.history is not None and problem.history.relaxes
+        refuse_stiffness(self.settings, self.table, relaxes=relaxes)
         self._check_statics_keys("buckling.preload", self.settings.preload)
         refuse(problem, "buckling", loaded=True)
         _check_laws(problem, self.settings.preload)
@@ -117,6 +122,7 @@ class Buckling(PreloadedAnalysis):
 
     def _steps(self) -> Generator[State | Mode, None, None]:
         """See `steps`."""
+        self._choose_stiffness()
         check_no_rigid_motion(self.problem)
         self._warn_of_dashpots("load factors")
         at_rest(self.problem)
@@ -134,6 +140,7 @@ class Buckling(PreloadedAnalysis):
         Args:
             opposite: What was found for the reversed loads, if it was looked for elsewhere.
         """
+        self._refuse_yielded()
         share = self.settings.preload
         both = self.settings.negative and share == 0.0
         modes = [*self._linearised(share, [1, -1] if both else [1]), *opposite]

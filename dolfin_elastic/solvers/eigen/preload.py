@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 from abc import ABC, abstractmethod
 from collections.abc import Generator
+from typing import ClassVar
 
 from dolfin_elastic.core.errors import ConvergenceError, InputError
 from dolfin_elastic.core.petsc_options import PetscOptions, PetscValue
@@ -13,6 +14,7 @@ from dolfin_elastic.core.together import loop_together
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.problem.state import Mode, State
 from dolfin_elastic.solvers.eigen.mode_shapes import shared
+from dolfin_elastic.solvers.eigen.settings import BucklingSettings, ModalSettings
 from dolfin_elastic.solvers.linear.choice import LinearSettings
 from dolfin_elastic.solvers.statics.load_stepping import InitialGuess
 from dolfin_elastic.solvers.statics.settings import StaticsSettings
@@ -28,9 +30,13 @@ class PreloadedAnalysis(ABC):
         petsc: PETSc and SLEPc options, which win over everything.
 
     Attributes:
+        table: Of a case file: "modal" or "buckling".
         known: Load factor of an equilibrium that is known, and its unknowns; a preload of that
             factor is found from them.
     """
+
+    table: ClassVar[str]
+    settings: ModalSettings | BucklingSettings
 
     def __init__(
         self,
@@ -43,6 +49,25 @@ class PreloadedAnalysis(ABC):
         self.known: tuple[float, InitialGuess] | None = None
         self.statics, self.linear = statics or StaticsSettings(), linear or LinearSettings()
         self.petsc = {**self.linear.petsc, **(petsc or {})}
+
+    def _choose_stiffness(self) -> None:
+        """Gives materials that relax the stiffness that is asked for, from here on. Local."""
+        if self.problem.history is not None:
+            self.problem.history.long_term = self.settings.stiffness == "long-term"
+
+    def _refuse_yielded(self) -> None:
+        """Refuses a state in which a material has yielded. Collective.
+
+        Raises:
+            InputError: It has: its stiffness depends on which way it is strained.
+        """
+        if self.problem.history is not None and self.problem.history.changed():
+            raise InputError(
+                "a material has yielded, and a state that has yielded has no modes: its stiffness "
+                "is another where the strain goes on than where it goes back",
+                where=f"{self.table}.preload",
+                expected="a smaller preload, or an elastic material",
+            )
 
     def _check_statics_keys(self, key: str, share: float) -> None:
         """Refuses keys of [statics] that have no effect on the path to the preload.

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Self
+from typing import Literal, Self
 
 from pydantic import Field, model_validator
 
 from dolfin_elastic.core.errors import InputError
-from dolfin_elastic.core.schema import Record
+from dolfin_elastic.core.schema import Record, UnusedKeys, refuse_unused_keys
 from dolfin_elastic.core.units import Frequency
 
 UNMOVED = "small-strain laws know no preload: the frequencies are those at rest"
@@ -20,12 +20,15 @@ class ModalSettings(Record):
         count: How many, from the lowest on; rigid ones come in addition.
         below: All modes below this frequency, instead of so many [Hz].
         preload: They are those about the equilibrium under the loads; without, at rest.
+        stiffness: Of materials that relax: "instantaneous", that of a sudden load, or "long-term",
+            what is left of it after a long time.
         tolerance: Relative error of omega^2.
     """
 
     count: int | None = Field(default=None, ge=1)
     below: Frequency | None = Field(default=None, gt=0)
     preload: bool = False
+    stiffness: Literal["instantaneous", "long-term"] = "instantaneous"
     tolerance: float = Field(default=1e-9, gt=0, lt=1)
 
     @model_validator(mode="after")
@@ -42,10 +45,30 @@ class BucklingSettings(Record):
         count: How many, from the smallest load factor on.
         negative: As many with the loads reversed, too, always linearised at rest.
         preload: Share of the loads at whose equilibrium the problem is linearised; 0: at rest.
+        stiffness: Of materials that relax: "instantaneous", that of a sudden load, or "long-term",
+            what is left of it after a long time.
         tolerance: Relative error of load factors.
     """
 
     count: int = Field(default=4, ge=1)
     negative: bool = False
     preload: float = Field(default=0.0, ge=0)
+    stiffness: Literal["instantaneous", "long-term"] = "instantaneous"
     tolerance: float = Field(default=1e-9, gt=0, lt=1)
+
+
+def refuse_stiffness(
+    settings: ModalSettings | BucklingSettings, table: str, *, relaxes: bool
+) -> None:
+    """Refuses a choice of stiffness that is none.
+
+    Args:
+        table: "modal" or "buckling".
+        relaxes: A material has a Prony series.
+
+    Raises:
+        InputError: `stiffness` is given, and none has.
+    """
+    if not relaxes:
+        rule = UnusedKeys(["stiffness"], "no material relaxes: it has one stiffness")
+        refuse_unused_keys(settings, [rule], table)
