@@ -16,7 +16,7 @@ _WORDS = {
     "lambda": "lame lamelambda lame1",
     "density": "rho massdensity specificmass",
     "expansion": "alpha cte thermalexpansion expansioncoefficient coefficientofthermalexpansion",
-    "prony": "viscoelastic viscoelasticity relaxation maxwell",
+    "viscous": "viscoelastic viscoelasticity relaxation maxwell",
     "energy": "psi strainenergy potential strainenergydensity",
     "fibre": "fiber fiberdirection fibredirection",
     "law": "model type materialmodel constitutive constitutivelaw",

@@ -72,9 +72,7 @@ def plan(
     nearly = {name for name, law in laws.items() if poisson(law) > STIFF_IN_VOLUME}
     exactly = {name for name, law in laws.items() if not math.isfinite(volume_modulus(law))}
     _check(laws, exactly, formulation, degree)
-    split = {
-        name for name, law in laws.items() if isinstance(law, SplitLaw) and volume_modulus(law) > 0
-    }
+    split = {name for name, law in laws.items() if _carried(law)}
     mixed: set[str] = set()
     if formulation == "mixed":
         mixed = nearly & split or split
@@ -94,6 +92,11 @@ def plan(
     return Plan(frozenset(mixed), tuple(auxiliary_fields))
 
 
+def _carried(law: Law) -> bool:
+    """A pressure can carry the volumetric part; it remembers nothing."""
+    return isinstance(law, SplitLaw) and volume_modulus(law) > 0 and not law.relaxes_whole
+
+
 def _check(
     laws: Mapping[str, Law], exactly: set[str], formulation: Formulation, degree: int
 ) -> None:
@@ -104,14 +107,19 @@ def _check(
                 where=f"materials.{name}.nu",
                 expected="nu must lie below 0.5: it has no volumetric part",
             )
+        if not _carried(laws[name]):
+            raise InputError(
+                "the whole stress relaxes, but the pressure of an incompressible material cannot",
+                where=f"materials.{name}.viscous_on",
+                expected='"isochoric", or nu below 0.5',
+            )
         if formulation == "displacement" or (formulation == "auto" and degree == 1):
             raise InputError(
                 "an incompressible material needs a pressure beside the displacement",
                 where=f"materials.{name}.nu",
                 expected='mesh.formulation = "mixed" or mesh.degree = 2, or nu below 0.5',
             )
-    carried = (isinstance(law, SplitLaw) and volume_modulus(law) > 0 for law in laws.values())
-    if formulation == "mixed" and not any(carried):
+    if formulation == "mixed" and not any(_carried(law) for law in laws.values()):
         raise InputError(
             "no material has a volumetric part that a pressure could carry",
             where="mesh.formulation",

@@ -73,6 +73,7 @@ POINTS = {
     "model/materials/test_library.py",
     "model/materials/test_moduli.py",
     "model/materials/test_reference_energies.py",
+    "model/materials/test_viscous.py",
     "model/point/test_material_point.py",
     "model/point/test_stable_range.py",
     "model/test_amplitude.py",

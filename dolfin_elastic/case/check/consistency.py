@@ -551,7 +551,7 @@ def _notes(case: Case) -> Iterator[str]:
         chosen = modes is not None and "stiffness" in modes.model_fields_set
         if memory is not None and memory.timed and case.gives_modes and not chosen:
             yield (
-                f"materials.{key_text(name)}.prony: nothing relaxes in [{case.analysis}]: the "
+                f"materials.{key_text(name)}.viscous: nothing relaxes in [{case.analysis}]: the "
                 "stiffness is that of a sudden load"
             )
     if case.analysis != "dynamics" and case.whole.dynamics is not None:

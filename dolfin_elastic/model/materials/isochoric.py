@@ -23,8 +23,8 @@ from dolfin_elastic.model.kinematics import (
 )
 from dolfin_elastic.model.materials import moduli
 from dolfin_elastic.model.materials.law import Moduli, SplitLaw, placeholder
-from dolfin_elastic.model.materials.prony import Relaxing
 from dolfin_elastic.model.materials.spatial import Range
+from dolfin_elastic.model.materials.viscous import Viscous
 
 NEAR = 0.15
 """|J - 1|/(J + 1) below which a series stands for the logarithm, which would cancel."""
@@ -100,7 +100,7 @@ def _volume(F: Expr) -> tuple[Expr, Expr]:
     return ufl.det(F), volume_change(F)
 
 
-class Volumetric(SplitLaw):
+class Volumetric(Viscous, SplitLaw):
     """A law whose energy of volume changes, K/2 g(J)^2, can be chosen.
 
     Attributes:
@@ -112,6 +112,11 @@ class Volumetric(SplitLaw):
     volumetric: Literal["simo-taylor", "quadratic", "log"] = "simo-taylor"
 
     strain_of_volume: ClassVar[bool] = True
+
+    @property
+    def isochoric_shape(self) -> bool:
+        """See `Law`."""
+        return True
 
     @property
     def curved_strain(self) -> bool:
@@ -131,7 +136,7 @@ class Volumetric(SplitLaw):
         return VOLUME_STRAINS[self.volumetric].stress(*_volume(F)) * cofactor(F)
 
 
-class Isochoric(Relaxing, Volumetric):
+class Isochoric(Volumetric):
     """An isotropic law with constants of its own for the shape, and one for the volume: K or nu.
 
     Attributes:

@@ -6,17 +6,20 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import wraps
-from typing import TYPE_CHECKING, Any, ClassVar, Self, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self, TypeVar
 
 import ufl
-from pydantic import AliasChoices, Field, model_validator
+from pydantic import AliasChoices, Field, field_validator, model_validator
 from ufl.core.expr import Expr
 
 from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.core.schema import Record, WhenGiven
 from dolfin_elastic.core.units import (
     Density,
     Expansion,
+    Number,
     SpatialValue,
+    Time,
     Viscosity,
 )
 from dolfin_elastic.model.kinematics import (
@@ -96,7 +99,104 @@ class BoundLaw:
         return self.given.with_values({**self.constants, **self.means}).small_strain()
 
 
-class Law(spatial.SpatialRecord):
+class ViscousTerm(Record):
+    """One branch of a viscous law.
+
+    Attributes:
+        ratio: Stress of the branch after a sudden strain, over that of the law's constants.
+        time: Time in which it falls to 1/e [s].
+    """
+
+    ratio: Number = Field(gt=0, validation_alias=AliasChoices("ratio", "g"))
+    time: Time = Field(gt=0, validation_alias=AliasChoices("time", "tau"))
+
+
+class Branched(spatial.SpatialRecord):
+    """Keys of the stress that relaxes.
+
+    Attributes:
+        viscous: Branches of stress that relaxes, each with a ratio and a time: it fades as
+            exp(-t/time) after a sudden strain. In statics the load factor is the time in seconds.
+            `prony`, a list of g and tau, is the same with instantaneous constants.
+        viscous_on: What relaxes: "isochoric", the stress of a change of shape, the default of laws
+            with a volumetric part of their own; or "whole", the default of all others.
+        viscous_constants: What the law's other constants are: "long-term", the stress after a
+            sudden strain is 1 + sum of the ratios times theirs; or "instantaneous", after a long
+            time 1 - sum of the ratios is left.
+    """
+
+    viscous: tuple[WhenGiven[ViscousTerm], ...] = Field(
+        default=(), validation_alias=AliasChoices("viscous", "prony")
+    )
+    viscous_on: Literal["isochoric", "whole"] | None = None
+    viscous_constants: Literal["long-term", "instantaneous"] = "long-term"
+
+    @model_validator(mode="before")
+    @classmethod
+    def _other_name(cls, table: object) -> object:
+        if not isinstance(table, Mapping) or "prony" not in table:
+            return table
+        if "viscous" in table:
+            raise InputError(
+                "`viscous` and `prony` are two names of one key",
+                where="prony",
+                expected="leave one of them out",
+            )
+        return {"viscous_constants": "instantaneous", **table}
+
+    @field_validator("viscous")
+    @classmethod
+    def _has_terms(cls, terms: tuple[ViscousTerm, ...]) -> tuple[ViscousTerm, ...]:
+        if not terms:
+            raise InputError(
+                "a series without terms: nothing would relax",
+                expected='expected for example [{ratio = 0.3, time = "1 s"}], or no such key',
+            )
+        return terms
+
+    @model_validator(mode="after")
+    def _relaxes(self) -> Self:
+        for key in ("viscous_on", "viscous_constants"):
+            if key in self.model_fields_set and not self.viscous:
+                raise InputError(
+                    "nothing relaxes without `viscous`", where=key, expected="leave it out"
+                )
+        if self.viscous and self.lasting <= 0:
+            ratios = sum(term.ratio for term in self.viscous)
+            raise InputError(
+                f"the ratios sum up to {ratios:.6g}: nothing would hold the shape for long",
+                where="viscous",
+                expected='ratios whose sum is below 1, or viscous_constants = "long-term"',
+            )
+        return self
+
+    @property
+    def lasting(self) -> float:
+        """Stress after a long time over that of the constants."""
+        ratios = sum(term.ratio for term in self.viscous)
+        return 1.0 - ratios if self.viscous_constants == "instantaneous" else 1.0
+
+    @property
+    def sudden(self) -> float:
+        """Stress after a sudden strain over that of the constants."""
+        return self.lasting + sum(term.ratio for term in self.viscous)
+
+    @property
+    def relaxes_whole(self) -> bool:
+        """The whole stress relaxes, not only that of a change of shape."""
+        return bool(self.viscous) and (self.viscous_on or self._usually_relaxes) == "whole"
+
+    @property
+    def _usually_relaxes(self) -> Literal["isochoric", "whole"]:
+        return "whole"
+
+    @property
+    def isochoric_shape(self) -> bool:
+        """The energy without volumetric part depends on J^-1/3 F alone."""
+        return False
+
+
+class Law(Branched):
     """A material: its fields are its constants and the keys of its case-file table.
 
     A subclass gives `energy(F)`, or `stress(F)` when it has no energy.  In both, F is the
@@ -121,10 +221,6 @@ class Law(spatial.SpatialRecord):
     allowable: Allowable | None = Field(default=None, gt=0)
     viscosity: Viscosity | None = Field(default=None, gt=0)
 
-    key_hints: ClassVar[Mapping[str, str]] = {
-        "prony": "a law whose deviatoric stress may relax: linear-elastic, neo-hookean-split, "
-        "mooney-rivlin, yeoh, ogden, arruda-boyce or gent"
-    }
     keys_beside: ClassVar[tuple[str, ...]] = ("on", "source", "material")
     linear: ClassVar[bool] = False
     """Stress is linear in the displacement gradient."""
@@ -158,6 +254,18 @@ class Law(spatial.SpatialRecord):
                 "strengths along and across a direction, but the law has none",
                 where="allowable.axis",
                 expected='the direction, for example axis = "z"',
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _can_relax(self) -> Self:
+        kind = type(self)
+        able = kind.memory is Law.memory and kind.branches is not Law.branches and self.has_energy
+        if self.viscous and not able:
+            raise InputError(
+                f"the law '{self.name()}' cannot relax",
+                where="viscous",
+                expected="a law with an energy that remembers nothing else",
             )
         return self
 
@@ -221,7 +329,11 @@ class Law(spatial.SpatialRecord):
     @property
     def memory(self) -> Memory | None:
         """What it remembers, where its stress depends on what has been before; else None."""
-        return None
+        return self.branches() if self.viscous else None
+
+    def branches(self) -> Memory:
+        """What `viscous` remembers."""
+        raise TypeError(f"{type(self).__name__} cannot relax")
 
     @property
     def surely_stiff(self) -> bool:
@@ -323,6 +435,12 @@ class SplitLaw(Law):
     def curved_strain(self) -> bool:
         """The volume strain is a function g(J) that is not affine."""
         return self.strain_of_volume
+
+    @property
+    def _usually_relaxes(self) -> Literal["isochoric", "whole"]:
+        # Where J < 0, which is finite in some laws, there is no J^-1/3 F.
+        split = self.linear or (self.strain_of_volume and not self.survives_inversion)
+        return "isochoric" if split else "whole"
 
     def incompressibility(self, F: Expr) -> Expr:
         """The constraint of a modulus k that is infinite: J - 1, or the volume strain.

@@ -16,8 +16,9 @@ from pydantic import AliasChoices, Field
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.types import Scalar
 from dolfin_elastic.core.units import Number, SpatialValue, Stress
-from dolfin_elastic.model.materials.law import Law, Moduli, placeholder
+from dolfin_elastic.model.materials.law import Moduli, placeholder
 from dolfin_elastic.model.materials.spatial import Range
+from dolfin_elastic.model.materials.viscous import Viscous
 
 NAMES = ("E", "nu", "K", "lmbda", "mu")
 
@@ -152,7 +153,7 @@ def _unstable(given: dict[str, float]) -> InputError:
     )
 
 
-class Isotropic(Law):
+class Isotropic(Viscous):
     """A law with the two constants of an isotropic solid: give any two of the five.
 
     Attributes:

@@ -20,11 +20,11 @@ from dolfin_elastic.core.units import SpatialValue, Stress, to_base
 from dolfin_elastic.model.kinematics import gradient_symbol
 from dolfin_elastic.model.materials import spatial, user_names
 from dolfin_elastic.model.materials.isochoric import Volumetric
-from dolfin_elastic.model.materials.law import Law
 from dolfin_elastic.model.materials.spatial import Direction
+from dolfin_elastic.model.materials.viscous import Viscous
 
 
-class UserEnergy(Law):
+class UserEnergy(Viscous):
     """Base of energies that users write: parameters and fibres, which are constants of the forms.
 
     Attributes:
@@ -124,6 +124,11 @@ class UserVolumetric(Volumetric):
 
     K: Stress = Field(gt=0)
 
+    @property
+    def isochoric_shape(self) -> bool:
+        """See `Law`: nobody knows what a user has written."""
+        return False
+
     def shape_energy(self, F: Expr) -> Expr:
         """The energy that the user wrote, without volumetric part [J/m^3]."""
         return self.written_energy(F)  # type: ignore[attr-defined]
@@ -216,6 +221,11 @@ class FormulaEnergy(UserEnergy):
 class SplitFormulaEnergy(UserVolumetric, FormulaEnergy):
     """A formula and a volumetric part."""
 
+    @property
+    def isochoric_shape(self) -> bool:
+        """See `Law`."""
+        return self.parsed.names - set(self.parameters) <= user_names.ISOCHORIC
+
 
 def _check_parameter(name: str, taken: frozenset[str]) -> None:
     where = f"parameters.{name}"
@@ -280,6 +290,10 @@ class Energy(UserEnergy):
         "expansion",
         "allowable",
         "viscosity",
+        "viscous",
+        "viscous_on",
+        "viscous_constants",
+        "prony",
         "fibre",
         "fibre2",
     )

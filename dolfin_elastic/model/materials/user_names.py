@@ -34,6 +34,9 @@ OF_STRAIN = frozenset(
 )
 """Functions of C alone, which are the same for F and its mirror image."""
 
+ISOCHORIC = frozenset(("I1bar", "I2bar", "I4bar", "I6bar"))
+"""Functions of J^-1/3 F alone."""
+
 
 def known(*, fibre: bool = False, fibre2: bool = False) -> frozenset[str]:
     """Names of the scalars that a formula may use."""

@@ -18,7 +18,6 @@ from dolfin_elastic.core.si_text import percent, quantity
 from dolfin_elastic.core.types import AnyArray
 from dolfin_elastic.model.materials.law import Law, SplitLaw
 from dolfin_elastic.model.materials.moduli import Isotropic
-from dolfin_elastic.model.materials.prony import Relaxing
 from dolfin_elastic.model.materials.user import UserEnergy
 from dolfin_elastic.model.point.ufl_to_numpy import LawAtPoints
 
@@ -332,23 +331,27 @@ def small_strain(tested: LawUnderTest) -> Iterator[Finding]:
 
 
 def relaxation(tested: LawUnderTest) -> Iterator[Finding]:
-    """Moduli of a sudden load and after a long time: shear relaxes, the volume does not."""
+    """What relaxes, and the moduli of a sudden load and after a long time."""
     law = tested.given
-    known = law.small_strain()
-    if isinstance(law, Relaxing) and law.prony and known is not None:
-        E, mu, left = known.E, known.mu, law.lasting
-        E_long, mu_long = 1 / (1 / E + (1 / left - 1) / (3 * mu)), left * mu
-        times = sorted(term.tau for term in law.prony)
-        sudden, later = (
-            f"E = {quantity(e, 'Pa')}, mu = {quantity(m, 'Pa')}"
-            for e, m in ((E, mu), (E_long, mu_long))
-        )
-        yield _note(
-            "relaxation",
-            f"sudden {sudden}; after a long time {later} ({percent(left)}); relaxation times "
-            f"{', '.join(quantity(tau, 's') for tau in times)}",
-            **{"E": E, "mu": mu, "E_long": E_long, "mu_long": mu_long, "times": times},
-        )
+    if not law.viscous:
+        return
+    times = sorted(term.time for term in law.viscous)
+    what = "whole" if law.relaxes_whole else "isochoric"
+    values: dict[str, object] = {"on": what, "times": times}
+    left = law.lasting / law.sudden
+    if (known := law.small_strain()) is None:
+        text = f"after a long time {percent(left)} of that of a sudden load"
+    else:
+        parts = []
+        for name, factor in (("", law.sudden), ("_long", law.lasting)):
+            E, mu = factor * known.E, factor * known.mu
+            if not law.relaxes_whole:  # the bulk modulus stays
+                E = 1 / (1 / known.E + (1 / factor - 1) / (3 * known.mu))
+            values |= {f"E{name}": E, f"mu{name}": mu}
+            parts.append(f"E = {quantity(E, 'Pa')}, mu = {quantity(mu, 'Pa')}")
+        text = f"sudden {parts[0]}; after a long time {parts[1]} ({percent(left)})"
+    shown = ", ".join(quantity(time, "s") for time in times)
+    yield _note("relaxation", f"of the {what} stress: {text}; relaxation times {shown}", **values)
 
 
 # --- lists of checks ---

@@ -190,33 +190,38 @@ def _step(e: Expr) -> Step:
 
 
 class NumpyProgram:
-    """A UFL expression of one symbol as a function of numpy arrays.
+    """A UFL expression of symbols as a function of numpy arrays.
 
     Args:
         expression: Without derivatives, as `expand_derivatives` returns it.
-        symbol: The UFL constant to be replaced by numbers, shape (3, 3).
+        symbols: The UFL constants to be replaced by numbers, F of shape (3, 3) the first.
     """
 
-    def __init__(self, expression: Expr, symbol: Expr) -> None:
+    def __init__(self, expression: Expr, *symbols: Expr) -> None:
         self.shape = expression.ufl_shape
         nodes = [e for e in unique_post_traversal(expression) if not isinstance(e, _NO_VALUE)]
         offset = {e: n for n, e in enumerate(nodes)}
+        place = {symbol: n for n, symbol in enumerate(symbols)}
         self._steps = [
             (
-                None if e == symbol else _step(e),
+                place[e] if e in place else _step(e),
                 [offset[o] for o in e.ufl_operands if not isinstance(o, _NO_VALUE)],
             )
             for e in nodes
         ]
 
-    def __call__(self, F: AnyArray) -> AnyArray:
-        """Values at F of shape (n, 3, 3): shape (n, *shape of the expression)."""
-        at = np.moveaxis(np.asarray(F, dtype=np.float64), 0, -1)
+    def __call__(self, F: AnyArray, *others: AnyArray) -> AnyArray:
+        """Values at F of shape (n, 3, 3): shape (n, *shape of the expression).
+
+        Args:
+            others: Of the other symbols, shape (n, *shape of the symbol).
+        """
+        at = [np.moveaxis(np.asarray(a, dtype=np.float64), 0, -1) for a in (F, *others)]
         done: list[AnyArray] = []
         with np.errstate(all="ignore"):
             for step, slots in self._steps:
-                done.append(at if step is None else step([done[s] for s in slots]))
-        full = np.broadcast_to(done[-1], (*self.shape, at.shape[-1]))
+                done.append(at[step] if isinstance(step, int) else step([done[s] for s in slots]))
+        full = np.broadcast_to(done[-1], (*self.shape, at[0].shape[-1]))
         return np.array(np.moveaxis(full, -1, 0))
 
 

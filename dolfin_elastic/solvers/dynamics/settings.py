@@ -283,13 +283,13 @@ def refuse_memory(settings: DynamicsSettings, *, timed: bool) -> None:
         raise InputError(
             "materials that relax have no equilibrium before the time begins",
             where=f"dynamics.{'preload' if settings.preload else 'start'}",
-            expected="leave it out: let the load grow slowly in the motion, or no `prony`",
+            expected="leave it out: let the load grow slowly in the motion, or no `viscous`",
         )
     if settings.scheme == "alpha2":
         raise InputError(
             f"the scheme '{settings.scheme}' does not compute materials that remember",
             where="dynamics.scheme",
-            expected='"generalized-alpha", or no `prony` and no plasticity',
+            expected='"generalized-alpha", or no `viscous` and no plasticity',
         )
 
 

@@ -127,7 +127,7 @@ def test_stiffnesses_of_ortho(tmp_path: Path) -> None:
 
 LACKING = {
     "*PLASTIC\n200., 0.\n": "PLASTIC: plasticity is not there",
-    "*VISCOELASTIC, TIME=PRONY\n.1, 0., 1.\n": "VISCOELASTIC: state it as `prony`",
+    "*VISCOELASTIC, TIME=PRONY\n.1, 0., 1.\n": "VISCOELASTIC: state it as `viscous`",
     "*EXPANSION, TYPE=ORTHO\n1., 2., 3.\n": "EXPANSION: it is not the same everywhere",
     "*USER MATERIAL, CONSTANTS=1\n1.\n": "its subroutine cannot be read",
     "*GHOST\n1.\n": "GHOST: this keyword is not known",

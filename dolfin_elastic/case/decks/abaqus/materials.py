@@ -15,7 +15,7 @@ OTHER_LAWS = {
     "DEFORMATION PLASTICITY": "plasticity is not there yet",
     "MOHR COULOMB": "plasticity is not there yet",
     "CREEP": "creep is not there yet",
-    "VISCOELASTIC": "state it as `prony` of the material, see the guide on materials",
+    "VISCOELASTIC": "state it as `viscous` of the material, see the guide on materials",
     "HYPERFOAM": "this law is not there",
     "USER MATERIAL": "its subroutine cannot be read",
     "CONCRETE DAMAGED PLASTICITY": "plasticity is not there yet",

@@ -25,6 +25,11 @@ class Logarithmic(Isotropic, SplitLaw):
     barrier: ClassVar[bool] = True
     strain_of_volume: ClassVar[bool] = True
 
+    @property
+    def isochoric_shape(self) -> bool:
+        """See `Law`."""
+        return True
+
     def _psi(self, shape: Shape) -> Expr:
         squares = shape.excess(lambda square: ufl.ln(square) ** 2, square_of_log_series())
         return self.mu * (squares / 4 - shape.of_d(ufl.ln, log_series()) ** 2 / 12)

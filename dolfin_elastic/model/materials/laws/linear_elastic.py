@@ -8,11 +8,11 @@ import ufl
 from ufl.core.expr import Expr
 
 from dolfin_elastic.model.kinematics import infinitesimal_strain
+from dolfin_elastic.model.materials.law import SplitLaw
 from dolfin_elastic.model.materials.moduli import Isotropic
-from dolfin_elastic.model.materials.prony import Relaxing
 
 
-class LinearElastic(Isotropic, Relaxing):
+class LinearElastic(Isotropic, SplitLaw):
     """Hooke's law for small strains.
 
     psi = mu eps:eps + lmbda/2 (tr eps)^2, eps the infinitesimal strain.  Changes of

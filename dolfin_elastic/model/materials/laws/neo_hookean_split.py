@@ -12,10 +12,9 @@ from dolfin_elastic.model.materials.isochoric import (
     stress_of_invariants,
 )
 from dolfin_elastic.model.materials.moduli import Isotropic
-from dolfin_elastic.model.materials.prony import Relaxing
 
 
-class NeoHookeanSplit(Isotropic, Relaxing, Volumetric):
+class NeoHookeanSplit(Isotropic, Volumetric):
     """Neo-Hookean rubber whose pressure depends on the volume alone.
 
     psi = mu/2 (I1 - 3) + K/2 g(J)^2, I1 the first invariant of J^-2/3 C.  The

@@ -14,8 +14,8 @@ from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.types import Scalar
 from dolfin_elastic.core.units import Number, Stress
 from dolfin_elastic.model.kinematics import infinitesimal_strain
-from dolfin_elastic.model.materials.law import Law
 from dolfin_elastic.model.materials.spatial import Direction, frame
+from dolfin_elastic.model.materials.viscous import Viscous
 
 SMALLEST_ANGLE = 1e-6
 """Sine of the angle below which two axes count as one."""
@@ -25,7 +25,7 @@ _NO_STIFFNESS = {"density", "expansion", "allowable", "viscosity", "axis1", "axi
 """Constants whose change in space does not change the sign of a stiffness."""
 
 
-class Orthotropic(Law):
+class Orthotropic(Viscous):
     """Hooke's law with three planes of symmetry, for small strains.
 
     psi = (C11 e11^2 + C22 e22^2 + C33 e33^2)/2 + C12 e11 e22 + C13 e11 e33 + C23 e22 e33

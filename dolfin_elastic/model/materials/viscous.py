@@ -1,0 +1,254 @@
+"""Relaxation of the stress by a series of branches, each with a time (a Prony series).
+
+Each branch has an overstress h that follows the second Piola-Kirchhoff stress S of the law and
+fades, h' = S' - h/tau.  The stress is a S + sum w h with the weights w of the branches and the part
+a that stays: a = 1 where the law's constants are those after a long time, a = 1 - sum w where they
+are those of a sudden load.  Over a step with x = dt/tau, e = exp(-x) and f = (1 - e)/x, exact where
+S is linear in time,
+
+    h <- e h + f (S - S0),        stress of the step = (a + sum w f) S + H,
+    H = sum w (e h - f S0),
+
+so that the stress is a function of F and of one tensor H that is the same for the whole step; its
+derivative by F is symmetric.  It acts either on the whole stress, S = F^-1 P, H on C/2; or on the
+isochoric one alone, that of psi(J^-1/3 F), S and H on J^-2/3 C/2, which leaves the pressure to the
+volume.  In linear laws these are the stress on eps, and its deviator on the deviator of eps.
+
+Source: J. C. Simo, Comput. Methods Appl. Mech. Eng. 60 (1987) 153; Simo & Hughes, Computational
+Inelasticity (1998), section 10.3; f: R. L. Taylor, K. S. Pister and G. L. Goudreau, Int. J. Numer.
+Methods Eng. 2 (1970) 45.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import ufl
+from ufl.core.expr import Expr
+
+from dolfin_elastic.core.types import FloatArray
+from dolfin_elastic.model.kinematics import (
+    cofactor,
+    deformation_from,
+    displacement_gradient,
+    infinitesimal_strain,
+    volume_change,
+)
+from dolfin_elastic.model.materials.law import Law, SplitLaw, once
+from dolfin_elastic.model.materials.memory import Memory, Values, Variable
+from dolfin_elastic.model.materials.stepped import SteppedLaw, SteppedSplitLaw
+
+
+class Viscous(Law):
+    """A law whose stress may relax, by its keys `viscous`."""
+
+    def branches(self) -> Memory:
+        """See `Law`."""
+        return Relaxation(self)
+
+
+# --- what relaxes ---
+
+
+def _isochoric(F: Expr) -> Expr:
+    """J^-1/3 F; for linear laws see `_without_volume`."""
+    J = ufl.det(F)
+    r = J ** (1 / 3)
+    swelling = volume_change(F) / (1 + r + r * r)  # r - 1
+    return deformation_from((displacement_gradient(F) - swelling * ufl.Identity(3)) / r)
+
+
+def _without_volume(F: Expr) -> Expr:
+    """I + dev eps."""
+    return deformation_from(ufl.dev(infinitesimal_strain(F)))
+
+
+@dataclass(frozen=True)
+class Relaxed(SteppedLaw):
+    """A law over a time step whose whole stress relaxes.
+
+    `past` is H of the module [Pa]; in `step`, "instant" is the factor of the law's stress, a +
+    sum w f, and "lasting" the same after a long time, a.
+    """
+
+    law: Viscous
+
+    @once
+    def relaxing(self, F: Expr) -> Expr:
+        """First Piola-Kirchhoff stress of the law that relaxes [Pa]."""
+        return self.law.stress(F)
+
+    def relaxing_energy(self, F: Expr) -> Expr:
+        """Its energy [J/m^3]."""
+        return self.law.energy(F)
+
+    def of_the_past(self, F: Expr) -> Expr:
+        """Stress of H [Pa]: the derivative of H : C/2, of linear laws of H : eps."""
+        H = self.past["H"]
+        return H if self.law.linear else F * H
+
+    def second(self, F: Expr) -> Expr:
+        """S of the module [Pa]."""
+        P = self.relaxing(F)
+        return P if self.law.linear else cofactor(F).T * P / ufl.det(F)
+
+    def energy(self, F: Expr) -> Expr:
+        """See `SteppedLaw`, after a long time: what no branch can lose."""
+        return self.step["lasting"] * self.relaxing_energy(F)
+
+    def stress(self, F: Expr) -> Expr:
+        """See `SteppedLaw`."""
+        return self.step["instant"] * self.relaxing(F) + self.of_the_past(F)
+
+    def branch_stress(self, F: Expr) -> Expr:
+        """See `SteppedLaw`: the stress of all branches, which is lost after a long time."""
+        share = self.step["instant"] - self.step["lasting"]
+        return share * self.relaxing(F) + self.of_the_past(F)
+
+    def at_end(self, F: Expr) -> dict[str, Expr]:
+        """S of the module."""
+        return {"S": self.second(F)}
+
+
+@dataclass(frozen=True)
+class RelaxedShape(Relaxed):
+    """A law over a time step whose isochoric stress relaxes."""
+
+    def _of_shape(self, F: Expr) -> Expr:
+        """The law's stress, of split laws without volumetric part [Pa]."""
+        return self.law.stress(F)
+
+    def _stored(self, F: Expr) -> Expr:
+        """Its energy [J/m^3]."""
+        return self.law.energy(F)
+
+    @once
+    def relaxing(self, F: Expr) -> Expr:
+        """See `Relaxed`: of the energy at J^-1/3 F, of linear laws at I + dev eps."""
+        law = self.law
+        if law.linear:
+            return ufl.dev(self._of_shape(_without_volume(F)))
+        if law.isochoric_shape:
+            return self._of_shape(F)
+        P, J = self._of_shape(_isochoric(F)), ufl.det(F)
+        return (P - ufl.inner(P, F) / (3 * J) * cofactor(F)) / J ** (1 / 3)
+
+    def relaxing_energy(self, F: Expr) -> Expr:
+        """See `Relaxed`."""
+        if self.law.linear:
+            return self._stored(_without_volume(F))
+        return self._stored(F if self.law.isochoric_shape else _isochoric(F))
+
+    def of_the_past(self, F: Expr) -> Expr:
+        """Stress of H [Pa]: the derivative of H : J^-2/3 C/2, of linear laws of H : dev eps."""
+        H = self.past["H"]
+        if self.law.linear:
+            return ufl.dev(H)
+        FH, J = F * H, ufl.det(F)
+        return J ** (-2 / 3) * (FH - ufl.inner(FH, F) / (3 * J) * cofactor(F))
+
+    def second(self, F: Expr) -> Expr:
+        """See `Relaxed`."""
+        P = self.relaxing(F)
+        return P if self.law.linear else ufl.det(F) ** (-1 / 3) * cofactor(F).T * P
+
+    def energy(self, F: Expr) -> Expr:
+        """See `Relaxed`."""
+        return self.law.energy(F) + (self.step["lasting"] - 1) * self.relaxing_energy(F)
+
+    def stress(self, F: Expr) -> Expr:
+        """See `Relaxed`."""
+        return self.law.stress(F) + self._change(F)
+
+    def _change(self, F: Expr) -> Expr:
+        """By how much the stress differs from the law's [Pa]."""
+        return (self.step["instant"] - 1) * self.relaxing(F) + self.of_the_past(F)
+
+
+@dataclass(frozen=True)
+class RelaxedSplit(RelaxedShape, SteppedSplitLaw):
+    """The same of a law with a volumetric part, which remembers nothing."""
+
+    @property
+    def _split(self) -> SplitLaw:
+        assert isinstance(self.law, SplitLaw)
+        return self.law
+
+    @once
+    def _of_shape(self, F: Expr) -> Expr:
+        return self._split.shape_stress(F)
+
+    def _stored(self, F: Expr) -> Expr:
+        return self._split.shape_energy(F)
+
+    def shape_stress(self, F: Expr) -> Expr:
+        """See `SplitLaw`, over the step."""
+        change = self._change(F)  # before the other, of which the last F alone is kept
+        return self._of_shape(F) + change
+
+    def shape_energy(self, F: Expr) -> Expr:
+        """See `SteppedLaw`, after a long time: what no branch can lose."""
+        return self._stored(F) + (self.step["lasting"] - 1) * self.relaxing_energy(F)
+
+    def energy(self, F: Expr) -> Expr:
+        """See `SteppedSplitLaw`."""
+        return SteppedSplitLaw.energy(self, F)
+
+    def stress(self, F: Expr) -> Expr:
+        """See `SteppedSplitLaw`."""
+        return SteppedSplitLaw.stress(self, F)
+
+
+class Relaxation(Memory):
+    """What a viscous law remembers: S and one h for each branch [Pa], see the module.
+
+    All branches fold into one tensor H, the same for the whole step.
+    """
+
+    seen = (Variable("H", "symmetric"),)
+    found = (Variable("S", "symmetric"),)
+
+    def __init__(self, law: Viscous) -> None:
+        self._law = law
+        self._ratios = np.array([term.ratio for term in law.viscous])
+        self._times = np.array([term.time for term in law.viscous])
+        self._names = [f"h{i + 1}" for i in range(len(self._times))]
+        self.variables = tuple(Variable(name, "symmetric") for name in ("S", *self._names))
+
+    def _weights(self, dt: float) -> tuple[FloatArray, FloatArray]:
+        """e and f of each branch."""
+        x = dt / self._times
+        return np.exp(-x), -np.expm1(-x) / x if dt > 0.0 else np.ones_like(x)
+
+    def over_step(self, past: Mapping[str, Expr], step: Mapping[str, Expr]) -> SteppedLaw:
+        """See `Memory`."""
+        law = self._law
+        if law.relaxes_whole:
+            return Relaxed(law, past, step)
+        kind = RelaxedSplit if isinstance(law, SplitLaw) else RelaxedShape
+        return kind(law, past, step)
+
+    def step(self, dt: float, *, passes: bool) -> dict[str, float]:
+        """See `Memory`."""
+        law, f = self._law, self._weights(dt)[1]
+        return {
+            "instant": law.lasting + float(self._ratios @ f),
+            "lasting": law.lasting if passes else law.sudden,
+        }
+
+    def fold(self, values: Values, dt: float) -> Values:
+        """See `Memory`: H."""
+        e, f = self._weights(dt)
+        H = -float(self._ratios @ f) * values["S"]
+        for weight, name in zip(self._ratios * e, self._names, strict=True):
+            H += weight * values[name]
+        return {"H": H}
+
+    def follow(self, values: Values, found: Values, dt: float) -> Values:
+        """See `Memory`."""
+        e, f = self._weights(dt)
+        change = found["S"] - values["S"]
+        branches = {n: e[i] * values[n] + f[i] * change for i, n in enumerate(self._names)}
+        return {"S": found["S"], **branches}
