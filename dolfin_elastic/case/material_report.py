@@ -21,10 +21,12 @@ from dolfin_elastic.model.materials.library import alike, in_words, library
 from dolfin_elastic.model.materials.registry import MATERIALS
 from dolfin_elastic.model.point.homogeneous_tests import ResponseCurve
 from dolfin_elastic.model.point.report import MaterialReport
+from dolfin_elastic.model.point.viscous_curves import ViscousCurves
 from dolfin_elastic.results.files import make_folder, replace_text, writing
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 _PARTS = ("11", "22", "33", "12", "13", "23")
 
@@ -166,7 +168,9 @@ def _parameters(kind: type[Law]) -> dict[str, str]:
 
 
 def write(name: str, report: MaterialReport, folder: Path) -> list[Path]:
-    """Writes a CSV file for each curve, and one picture of all. Not collective.
+    """Writes a CSV file for each curve, and one picture of all; of what relaxes another.
+
+    Not collective.
 
     Args:
         name: Of the material; begins the files' names.
@@ -186,7 +190,62 @@ def write(name: str, report: MaterialReport, folder: Path) -> list[Path]:
     if report.curves:
         paths.append(folder / f"{_file_name(name)}.png")
         _draw(name, report, paths[-1])
+    if report.viscous is not None:
+        paths += _write_viscous(folder / f"{_file_name(name)}", report.viscous)
     return paths
+
+
+def _write_viscous(begin: Path, curves: ViscousCurves) -> list[Path]:
+    """Two tables and a picture of what relaxes.
+
+    Args:
+        begin: Of the files' names, with their folder.
+    """
+    over_time = {"time": curves.t, "relative": curves.relaxation}
+    over_frequency = {
+        "omega": curves.omega,
+        "storage": curves.storage,
+        "loss": curves.loss,
+        "loss_factor": curves.loss_factor,
+    }
+    if curves.mu is not None:
+        over_time["mu"] = curves.mu * curves.relaxation
+        over_frequency["storage_mu"] = curves.mu * curves.storage
+        over_frequency["loss_mu"] = curves.mu * curves.loss
+    paths = []
+    for what, columns in (("relaxation", over_time), ("oscillation", over_frequency)):
+        paths.append(begin.with_name(f"{begin.name}_{what}.csv"))
+        rows = np.column_stack(list(columns.values()))
+        lines = [",".join(f"{value:.12g}" for value in row) for row in rows]
+        replace_text(paths[-1], "\n".join([",".join(columns), *lines]) + "\n")
+    paths.append(begin.with_name(f"{begin.name}_relaxation.png"))
+    _draw_viscous(curves, paths[-1])
+    return paths
+
+
+@plain_matplotlib()
+def _draw_viscous(curves: ViscousCurves, path: Path) -> None:
+    """Relaxation over time beside storage and loss over frequency."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(11, 4), layout="constrained")
+    FigureCanvasAgg(figure)
+    left, right = figure.subplots(1, 2)
+    size, unit = (1.0, "1") if curves.mu is None else stress_unit(curves.mu * curves.law.sudden)
+    factor = (curves.mu or 1.0) / size
+    what = "modulus over that of the constants" if curves.mu is None else f"shear modulus [{unit}]"
+    left.semilogx(curves.t, factor * curves.relaxation, color="#1f5f8b")
+    left.set(title="relaxation", xlabel="time after a sudden strain [s]", ylabel=what)
+    hertz = curves.omega / (2 * np.pi)
+    right.semilogx(hertz, factor * curves.storage, label="storage", color="#1f5f8b")
+    right.semilogx(hertz, factor * curves.loss, "--", label="loss", color="#b0562f")
+    right.set(title="oscillation", xlabel="frequency [Hz]", ylabel=what)
+    right.legend(fontsize=8)
+    for axis in (left, right):
+        axis.set_ylim(bottom=0)
+        axis.grid(color="#dde1e5")
+    _save(figure, path)
 
 
 def _file_name(name: str) -> str:
@@ -229,6 +288,10 @@ def _draw(name: str, report: MaterialReport, path: Path) -> None:
         f"{f.check}: {f.text}" for f in report.findings if f.check.startswith(("ell", "small"))
     ]
     axes[-1].text(0, 1, "\n".join([f"{name}", *lines]), va="top", fontsize=8, wrap=True)
+    _save(figure, path)
+
+
+def _save(figure: Figure, path: Path) -> None:
     draft = path.with_name(f".{path.stem}.part{path.suffix}")
     with writing(path):
         figure.savefig(fresh(draft), dpi=130)

@@ -17,6 +17,7 @@ from dolfin_elastic.model.materials.library import in_words, library
 
 if TYPE_CHECKING:
     from dolfin_elastic.model.point.report import MaterialReport
+    from dolfin_elastic.model.point.viscous_curves import ViscousCurves
 
 _MARKS = {"pass": "ok", "fail": "FAILED", "note": "note"}
 
@@ -51,6 +52,19 @@ def report_table(report: MaterialReport) -> dict[str, object]:
             }
             for name, curve in report.curves.items()
         },
+        **({} if report.viscous is None else {"viscous": _viscous(report.viscous)}),
+    }
+
+
+def _viscous(curves: ViscousCurves) -> dict[str, object]:
+    """Moduli over those of the constants."""
+    return {
+        "time": curves.t.tolist(),
+        "relaxation": curves.relaxation.tolist(),
+        "omega": curves.omega.tolist(),
+        "storage": curves.storage.tolist(),
+        "loss": curves.loss.tolist(),
+        "mu": curves.mu,
     }
 
 

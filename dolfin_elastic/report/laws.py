@@ -17,6 +17,7 @@ from dolfin_elastic.model.materials.spatial import units_of
 from dolfin_elastic.model.materials.user import SplitFormulaEnergy
 from dolfin_elastic.model.point.homogeneous_tests import ResponseCurve
 from dolfin_elastic.model.point.report import material_report
+from dolfin_elastic.model.point.viscous_curves import ViscousCurves
 from dolfin_elastic.report.charts import Axis, Line, line_chart
 from dolfin_elastic.report.words import names, part_names
 from dolfin_elastic.results.verdict import Table
@@ -37,7 +38,7 @@ class MaterialText:
         what: One sentence about the law.
         formula: Its energy or stress.
         source: Where it was published.
-        charts: Stress over stretch, and over shear.
+        charts: Stress over stretch and over shear; moduli over time and frequency.
         notes: What its tests at a point have found, or why there are no curves.
     """
 
@@ -125,7 +126,26 @@ def _tested(
     stretched = [c for c in report.curves.values() if c.mode.name in modes]
     sheared = [c for c in report.curves.values() if c.mode.rest == 0]
     charts = [_chart(part) for part in (stretched, sheared) if part]
+    if report.viscous is not None:
+        charts += _viscous_charts(report.viscous)
     return tuple(charts), (*failed, *([law.warning] if law.warning else [])), relaxation
+
+
+def _viscous_charts(curves: ViscousCurves) -> list[Markup]:
+    """Relaxation over time; storage and loss over frequency."""
+    factor, unit = scaled_unit((curves.mu or 1.0) * curves.law.sudden, "Pa")
+    scale, up = (curves.mu or 1.0) / factor, Axis(f"shear modulus [{unit}]")
+    if curves.mu is None:
+        scale, up = 1.0, Axis("modulus over that of the constants")
+    time, hertz = (Axis(label, logarithmic=True) for label in ("time [s]", "frequency [Hz]"))
+    f = np.asarray(curves.omega / (2 * np.pi), dtype=np.float64)
+    over_time = [Line("relaxation", curves.t, scale * curves.relaxation)]
+    parts = (("storage", curves.storage), ("loss", curves.loss))
+    over_frequency = [Line(name, f, scale * values) for name, values in parts]
+    return [
+        line_chart(over_time, time, up, title=f"{up.label} over time"),
+        line_chart(over_frequency, hertz, up, title=f"{up.label} over frequency"),
+    ]
 
 
 def _chart(curves: list[ResponseCurve]) -> Markup:

@@ -20,6 +20,7 @@ from dolfin_elastic.model.materials.law import Law, SplitLaw
 from dolfin_elastic.model.materials.moduli import Isotropic
 from dolfin_elastic.model.materials.user import UserEnergy
 from dolfin_elastic.model.point.ufl_to_numpy import LawAtPoints
+from dolfin_elastic.model.point.viscous_curves import viscous_curves
 
 I = np.eye(3)  # noqa: E741  of the textbooks
 ROUND_OFF = 1e-9
@@ -351,7 +352,17 @@ def relaxation(tested: LawUnderTest) -> Iterator[Finding]:
             parts.append(f"E = {quantity(E, 'Pa')}, mu = {quantity(mu, 'Pa')}")
         text = f"sudden {parts[0]}; after a long time {parts[1]} ({percent(left)})"
     shown = ", ".join(quantity(time, "s") for time in times)
-    yield _note("relaxation", f"of the {what} stress: {text}; relaxation times {shown}", **values)
+    curves = viscous_curves(law)
+    assert curves is not None
+    most, omega = curves.most_damped
+    yield _note(
+        "relaxation",
+        f"of the {what} stress: {text}; relaxation times {shown}; loss factor up to {most:.2g}, "
+        f"at {omega / (2 * np.pi):.2g} Hz",
+        **values,
+        loss_factor=most,
+        omega=omega,
+    )
 
 
 # --- lists of checks ---

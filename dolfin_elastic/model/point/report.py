@@ -16,6 +16,7 @@ from dolfin_elastic.model.point.homogeneous_tests import (
     ResponseCurve,
     response_curve,
 )
+from dolfin_elastic.model.point.viscous_curves import ViscousCurves, viscous_curves
 
 LARGEST = 2.0
 _POINTS = 30
@@ -30,12 +31,14 @@ class MaterialReport(Shown):
         findings: One for each check.
         curves: Name of a mode to its response; empty if the law is not finite near F = I.
         notes: Remarks: warnings, replaced constants, ends of curves.
+        viscous: Relaxation over time, storage and loss over frequency; None: nothing relaxes.
     """
 
     law: Law
     findings: tuple[Finding, ...]
     curves: dict[str, ResponseCurve]
     notes: tuple[str, ...]
+    viscous: ViscousCurves | None = None
 
     @property
     def failed(self) -> tuple[Finding, ...]:
@@ -81,4 +84,4 @@ def material_report(law: Law, *, largest: float = LARGEST) -> MaterialReport:
         }
         findings += [*energy_growth(tested), *ellipticity(tested, curves)]
     notes += [end for curve in curves.values() for end in curve.ends]
-    return MaterialReport(law, tuple(findings), curves, tuple(notes))
+    return MaterialReport(law, tuple(findings), curves, tuple(notes), viscous_curves(law))

@@ -6,6 +6,7 @@ branches follow step by step as they do in a body.
 
 from __future__ import annotations
 
+import pathlib
 from typing import Any
 
 import numpy as np
@@ -14,7 +15,9 @@ import ufl
 from ufl.algorithms import expand_derivatives
 
 from dolfin_elastic import Energy
+from dolfin_elastic.case.material_report import write
 from dolfin_elastic.case.tables import Material
+from dolfin_elastic.cli.console_materials import report_table
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.model.kinematics import gradient_symbol, variables
@@ -24,6 +27,8 @@ from dolfin_elastic.model.materials.stepped import SteppedLaw, SteppedSplitLaw
 from dolfin_elastic.model.materials.viscous import Viscous
 from dolfin_elastic.model.point.report import material_report
 from dolfin_elastic.model.point.ufl_to_numpy import NumpyProgram
+from dolfin_elastic.model.point.viscous_curves import ViscousCurves, viscous_curves
+from dolfin_elastic.report.laws import materials_of
 
 RATIOS, TIMES = np.array([0.4, 0.25]), np.array([0.5, 0.05])
 SERIES = [{"ratio": r, "time": f"{t} s"} for r, t in zip(RATIOS, TIMES, strict=True)]
@@ -321,5 +326,55 @@ def test_the_report_says_what_relaxes() -> None:
     (row,) = (f for f in material_report(viscous("a formula")).findings if f.check == "relaxation")
     assert row.text == (
         "of the whole stress: after a long time 61 % of that of a sudden load; "
-        "relaxation times 50 ms, 500 ms"
+        "relaxation times 50 ms, 500 ms; loss factor up to 0.19, at 0.28 Hz"
     )
+
+
+# --- curves ---
+
+
+def test_curves_are_those_of_the_law() -> None:
+    """As a shear of sines finds them, see above; and of one branch the largest loss factor."""
+    law = viscous("neo-hookean")
+    curves = ViscousCurves(law, TIMES, np.array([6.0]), None)
+    found = complex_modulus("neo-hookean", 6.0, 4000)
+    assert [curves.storage[0], curves.loss[0]] == pytest.approx(found, rel=1e-6)
+    wanted = 1 + np.exp(-TIMES[:, None] / TIMES) @ RATIOS
+    assert curves.relaxation == pytest.approx(wanted, rel=1e-14)
+    one = viscous_curves(viscous("neo-hookean", viscous=[{"ratio": 3.0, "time": 2.0}]))
+    assert one is not None
+    most, omega = one.most_damped  # r/(2 sqrt(1 + r)) at 1/(tau sqrt(1 + r)); 20 points a decade
+    assert most == pytest.approx(0.75, rel=2e-3)
+    assert omega == pytest.approx(0.25, rel=0.06)
+    assert viscous_curves(MATERIALS["yeoh"](**MATERIALS["yeoh"].example)) is None
+
+
+def test_curves_are_written(tmp_path: pathlib.Path) -> None:
+    """Where there is a shear modulus, in Pa as well; ends are those of the law."""
+    for name, heads in (("a formula", 0), ("linear-elastic", 1)):
+        law = viscous(name)
+        report = material_report(law, largest=1.1)
+        files = write(name, report, tmp_path)
+        assert [f.name.rpartition("_")[2] for f in files[-3:]] == [
+            "relaxation.csv",
+            "oscillation.csv",
+            "relaxation.png",
+        ]
+        assert files[-1].stat().st_size > 10_000
+        tables = [np.genfromtxt(f, delimiter=",", names=True) for f in files[-3:-1]]
+        assert ("mu" in tables[0].dtype.names) == bool(heads)
+        assert tables[0]["relative"][[0, -1]] == pytest.approx([law.sudden, 1], rel=0.02)
+        assert tables[1]["storage"][[0, -1]] == pytest.approx([1, law.sudden], rel=1e-3)
+        assert "viscous" in report_table(report)
+        if heads:
+            mu = 1e6 / 2.6
+            assert tables[0]["mu"] == pytest.approx(mu * tables[0]["relative"], rel=1e-10)
+            assert tables[1]["loss_mu"] == pytest.approx(mu * tables[1]["loss"], rel=1e-10)
+
+
+def test_the_report_draws_what_relaxes() -> None:
+    plain = {"law": "linear-elastic", "E": "1 MPa", "nu": 0.3}
+    (one,) = materials_of({"materials": {"gel": plain}})
+    (other,) = materials_of({"materials": {"gel": {**plain, "viscous": SERIES}}})
+    assert len(other.charts) == len(one.charts) + 2
+    assert "frequency [Hz]" in other.charts[-1]
