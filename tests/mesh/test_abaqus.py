@@ -155,7 +155,7 @@ def test_elements_without_shape_and_unknown_keywords_are_counted(folder: Path) -
     assert body.num_cells == 6 and body.kinds("both") == ("region",)
     said = "elements that are left out; the case file states such: 2 SPRINGA, 1 CONN3D2"
     assert said in body.notes
-    assert "keywords that are not read: 2 *SPELL" in body.information
+    assert "unknown to the reader of meshes: 2 *SPELL" in body.information
     with pytest.raises(MeshError, match="'spring' .*its elements are left out"):
         body.region("spring")
 
@@ -298,7 +298,7 @@ def test_instances_are_moved_and_turned(folder: Path) -> None:
     assert size["feet"] == pytest.approx(size["a.foot"] + size["b.foot"])
     assert size["a.foot"] == pytest.approx(size["b.foot"]) and size["top"] > 0
     assert kinds("m") == ("point",)
-    assert "keywords that are not read: 1 *SPELL" in body.information
+    assert "unknown to the reader of meshes: 1 *SPELL" in body.information
 
 
 def test_numbers_of_an_assembly_name_their_instance(folder: Path) -> None:
@@ -479,9 +479,7 @@ def test_sets_of_a_deck_with_loads(folder: Path) -> None:
     force = {"kind": "point-force", "on": "TIP", "value": [0, 0, "1 kN"]}
     held = case(folder, mesh={"file": "deck.inp"}, support=[{"on": "Left"}], load=[force])
     problem = held.make_problem(held.read_body())
-    assert (
-        "not read, because the case file states it: *BOUNDARY, *CLOAD" in problem.body.information
-    )
+    assert "for the case file, no part of the mesh: *BOUNDARY, *CLOAD" in problem.body.information
     *_, last = held.make_solver(problem).steps()
     assert last.reactions["Left"] == pytest.approx([0, 0, -1000], abs=1e-4)  # the linear solver's
     at = [{"kind": "point-force", "at": [4, 0.5, 0.5], "value": [0, 0, "1 kN"]}]

@@ -323,7 +323,7 @@ def test_what_is_beside_the_body(folder: Path) -> None:
     body = read_body(folder / "a.bdf")
     assert mesh_statistics(body).surfaces == pytest.approx({"30": 6})
     assert f"have no stiffness: {len(shells)} CTRIA3, 1 CBAR" in body.information[0]
-    assert body.information[1].endswith("the case file states it: 1 CONM2, 1 RBE2")
+    assert body.information[1].endswith("for the case file, no part of the mesh: 1 CONM2, 1 RBE2")
 
 
 def test_supports_and_loads(tmp_path: Path) -> None:
@@ -340,7 +340,7 @@ def test_supports_and_loads(tmp_path: Path) -> None:
     ]
     (tmp_path / "a.bdf").write_text(deck(form=free, number=full, before=before))
     assert read_nastran(tmp_path / "a.bdf").information == [
-        "not read, because the case file states it: 1 SPC1, 2 FORCE, 1 PLOAD4, 1 SET1, "
+        "for the case file, no part of the mesh: 1 SPC1, 2 FORCE, 1 PLOAD4, 1 SET1, "
         "1 GRID with supports (PS)",
         f"{len(POINTS)} GRID with directions in a coordinate system of their own (CD): supports "
         "and loads of the case file are in basic directions",

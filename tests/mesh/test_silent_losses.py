@@ -94,7 +94,7 @@ def test_entries_of_nastran_that_are_not_known(tmp_path: Path) -> None:
     """They are counted: one may be a misspelt element."""
     text = f"{GRIDS}CTETRA,1,1,1,2,3,4\nTETRA,2,1,2,3,4,5\nMAT1,1,2.+11,,.3\nPSOLID,1,1\nENDDATA\n"
     mesh = read(read_nastran, tmp_path / "a.bdf", text)
-    assert mesh.information == ["entries that are not read: 1 TETRA"]
+    assert mesh.information == ["unknown to the reader of meshes: 1 TETRA"]
 
 
 def test_blank_fields_at_the_end_of_a_line(tmp_path: Path) -> None:

@@ -100,6 +100,10 @@ FAULTS = {
     "hole": (UNIT[1:], r"has a hole: 3 edges .* mm; repair = true closes small holes"),
     "turned": (np.concatenate([UNIT[:2, ::-1], UNIT[2:]]), "2 triangles are turned round, first"),
     "doubled": (np.concatenate([UNIT, UNIT[:1]]), "1 triangle is there twice, at"),
+    "touching": (
+        np.concatenate([UNIT, cube(shift=(0, 0, 1))]),
+        "faces touch: 2 triangles are there twice, .*; repair = true makes one body",
+    ),
     "tjoint": (tjoint(), r"1 edge is divided on one side only, at \(0, 0, 0.5\) mm"),
     "overlap": (np.concatenate([UNIT, cube(shift=(0.5, 0.4, 0.3))]), "two bodies run into each"),
 }
@@ -114,20 +118,30 @@ def test_faults_are_named_and_mended(fault, tmp_path):
     if fault == "overlap":
         pytest.importorskip("manifold3d")
     found, result = made(path, repair=True)
-    # Single precision in the file.
-    assert sum(result) == pytest.approx(2 - 0.5 * 0.6 * 0.7 if fault == "overlap" else 1, rel=1e-6)
+    volume = {"overlap": 2 - 0.5 * 0.6 * 0.7, "touching": 2}.get(fault, 1)
+    assert sum(result) == pytest.approx(volume, rel=1e-6)  # single precision in the file
+    assert len(result) == 1
     assert "the surface has been mended: " in found.notes[0]
+
+
+DENTED = np.where((UNIT == 0).all(axis=2, keepdims=True), (0.5, 0.25, 1.0), UNIT)
+"""A cube of which a corner is pressed in until it touches the face opposite."""
+IN_VAIN = ".*mend it in the program that it comes from; repair = true cannot"
 
 
 @pytest.mark.parametrize(
     ("corners", "said"),
     [
         (UNIT * [1, 1, 0], "no thickness"),
-        (np.concatenate([UNIT, cube(shift=(1, 1, 0))]), "more than two triangles meet in 1 edge"),
-        (UNIT[2:], "the surface has a hole: 4 edges"),
+        (
+            np.concatenate([UNIT, cube(shift=(1, 1, 0))]),
+            f"more than two triangles meet in 1 edge{IN_VAIN}",
+        ),
+        (DENTED, f"touches itself{IN_VAIN}"),
+        (UNIT[[*range(2), *range(6, 12)]], f"the surface has a hole: 6 edges{IN_VAIN}"),
         (np.where(np.arange(36).reshape(12, 3, 1) == 4, np.nan, UNIT), "corner of triangle 2 has"),
     ],
-    ids=["flat", "edge", "open", "nan"],
+    ids=["flat", "edge", "dented", "open", "nan"],
 )
 def test_what_is_refused(corners, said, tmp_path):
     with pytest.raises(MeshError, match=said):

@@ -182,9 +182,9 @@ def _information(deck: Deck) -> list[str]:
     if unused := ", ".join(name for name in deck.parts if name not in deck.used):
         result.append(f"parts without an instance, which are left out: {unused}")
     if others := ", ".join(dict.fromkeys(deck.others)):
-        result.append(f"not read, because the case file states it: {others}")
+        result.append(f"for the case file, no part of the mesh: {others}")
     if unread := _counted(deck.unread):
-        result.append(f"keywords that are not read: {unread}")
+        result.append(f"unknown to the reader of meshes: {unread}")
     return result
 
 

@@ -6,9 +6,12 @@ OF_A_CASE = frozenset(
     (
         *("MATERIAL", "BOUNDARY", "CLOAD", "DLOAD", "DSLOAD", "TEMPERATURE", "CONTACT PAIR"),
         *("TIE", "EQUATION", "MPC", "COUPLING", "RIGID BODY", "SPRING", "DASHPOT", "MASS"),
+        *("ELASTIC", "HYPERELASTIC", "PLASTIC", "DENSITY", "EXPANSION", "DAMPING", "ORIENTATION"),
+        *("SOLID SECTION", "AMPLITUDE", "INITIAL CONDITIONS", "TRANSFORM", "KINEMATIC"),
+        *("DISTRIBUTING", "FREQUENCY", "BUCKLE", "DYNAMIC"),
     )
 )
-"""Keywords of the model, which are not read, and reported so that nobody relies on them."""
+"""Keywords of the model, no part of the mesh, and reported so that nobody relies on them."""
 REFUSED = frozenset(
     (
         *("NMAP", "USER ELEMENT", "PARAMETER", "IMPERFECTION", "SYMMETRIC MODEL GENERATION"),

@@ -101,8 +101,8 @@ def _information(bulk: Bulk) -> list[str]:
     )
     texts = {
         "elements that name parts only and have no stiffness": low,
-        "not read, because the case file states it": bulk.others,
-        "entries that are not read": bulk.unread,
+        "for the case file, no part of the mesh": bulk.others,
+        "unknown to the reader of meshes": bulk.unread,
     }
     result = [
         f"{text}: {', '.join(f'{count} {name}' for name, count in elements.items())}"

@@ -12,7 +12,12 @@ from dolfin_elastic.core.types import FloatArray, IntArray
 from dolfin_elastic.core.units import LengthUnit
 from dolfin_elastic.mesh.formats.surfaces.filling.bodies import region_volumes
 from dolfin_elastic.mesh.formats.surfaces.filling.plc import OUTSIDE, Plc
-from dolfin_elastic.mesh.formats.surfaces.mend import Mended, mend, volume_as_it_stood
+from dolfin_elastic.mesh.formats.surfaces.mend import (
+    Mended,
+    mend,
+    volume_as_it_stood,
+    with_outlook,
+)
 from dolfin_elastic.mesh.formats.surfaces.nesting import containing
 from dolfin_elastic.mesh.formats.surfaces.patches import ANGLE, MOST, patches
 from dolfin_elastic.mesh.formats.surfaces.readers.read import read_soup
@@ -66,7 +71,7 @@ def read_complex(
             notes.append(_mended(mended, before, float(region_volumes(made.plc).sum()), unit))
     else:
         if faults := find_faults(surface):
-            raise faults[0].error(path.name, unit)
+            raise with_outlook(surface, faults, path.name)[0].error(path.name, unit)
         made = complex_of(turned_outwards(surface), angle)
     return replace(
         made,
@@ -95,7 +100,7 @@ def faults_of(path: Path) -> tuple[Surface, list[Fault]]:
         MeshError: The file is damaged, or has no surface of a body.
     """
     surface, _ = Surface.of(read_soup(path), path.name)
-    return surface, find_faults(surface, all_of_them=True)
+    return surface, with_outlook(surface, find_faults(surface, all_of_them=True), path.name)
 
 
 def complex_of(surface: Surface, angle: float) -> Complex:

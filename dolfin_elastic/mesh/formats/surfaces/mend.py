@@ -9,11 +9,13 @@ import numpy as np
 
 from dolfin_elastic.core.errors import MeshError
 from dolfin_elastic.core.types import FloatArray, IntArray
-from dolfin_elastic.core.units import LengthUnit
+from dolfin_elastic.core.units import METRE, LengthUnit
 from dolfin_elastic.mesh.formats.surfaces.crossings import crossings
 from dolfin_elastic.mesh.formats.surfaces.readers.polygons import MOST_CORNERS, cut
 from dolfin_elastic.mesh.formats.surfaces.surface import (
+    ELSEWHERE,
     ON_EDGE,
+    Fault,
     Surface,
     counted,
     find_faults,
@@ -37,10 +39,10 @@ _PASSES = 20
 
 @dataclass(frozen=True)
 class Mended:
-    """A surface without faults.
+    """A surface after repair.
 
     Attributes:
-        surface: Of which all shells face outwards.
+        surface: Without faults, all shells outwards, if `mend` made it.
         steps: What has been done, in words.
         distance: By which the surface has moved at most, in the file's unit.
     """
@@ -59,13 +61,36 @@ def mend(surface: Surface, name: str, unit: LengthUnit) -> Mended:
     Raises:
         MeshError: The first fault that is left.
     """
+    mended = _mended(surface, name, unit)
+    if faults := find_faults(mended.surface):
+        error = faults[0].error(name, unit)
+        raise MeshError(f"repair cannot mend this: {error.what}", where=name, expected=ELSEWHERE)
+    return replace(mended, surface=turned_outwards(mended.surface))
+
+
+def with_outlook(surface: Surface, faults: list[Fault], name: str) -> list[Fault]:
+    """The faults of a surface, which offer repair only where it mends all of them. Local.
+
+    Why repair ends without a result at all is for its own message.
+    """
+    if not any(fault.remedy for fault in faults):
+        return faults
+    try:
+        mends = not find_faults(_mended(surface, name, METRE).surface)
+    except MeshError:
+        return faults
+    return faults if mends else [replace(fault, remedy="") for fault in faults]
+
+
+def _mended(surface: Surface, name: str, unit: LengthUnit) -> Mended:
+    """After all steps, whatever they have left."""
     size, steps, moved = surface.size, list[str](), 0.0
     surface, gap = _welded(surface, size, name)
     if gap:
         moved = gap
         steps.append(f"corners up to {unit.length(gap * unit.metres)} apart made one")
     if count := len(surface.doubled):
-        surface = surface.kept(np.setdiff1d(np.arange(len(surface.triangles)), surface.doubled))
+        surface = surface.without_doubled()
         steps.append(f"{counted(count, 'doubled triangle', 'doubled triangles')} left out")
     surface, count = _divided(surface, ON_EDGE * size)
     if count:
@@ -81,28 +106,18 @@ def mend(surface: Surface, name: str, unit: LengthUnit) -> Mended:
     if surface.edges.is_closed and not len(surface.edges.crowded):
         surface, united = _united(surface, name)
         steps += ["bodies that ran into each other united"] * united
-    if faults := find_faults(surface):
-        left = replace(faults[0], remedy="")
-        error = left.error(name, unit)
-        raise MeshError(
-            f"repair cannot mend this: {error.what}", where=name, expected=error.expected
-        )
-    return Mended(turned_outwards(surface), steps, moved)
+    return Mended(surface, steps, moved)
 
 
 def _welded(surface: Surface, size: float, name: str) -> tuple[Surface, float]:
     """With near corners made one, up to the distance after which the fewest edges are open."""
-
-    def wrong(one: Surface) -> int:
-        return int((one.edges.count != 2).sum())
-
-    best, gap, least = surface, 0.0, wrong(surface)
+    best, gap, least = surface, 0.0, surface.wrong
     for share in _GAPS:
         if not least:
             break
         other, _ = surface.welded(share * size, name)
-        if wrong(other) < least:
-            best, gap, least = other, share * size, wrong(other)
+        if other.wrong < least:
+            best, gap, least = other, share * size, other.wrong
     return best, gap
 
 

@@ -32,6 +32,8 @@ _NO_THICKNESS = 1e-9
 FLAT = 1e-7
 """Height over longest edge of triangles without area."""
 
+ELSEWHERE = "mend it in the program that it comes from"
+
 ON_EDGE = 1e-6
 """Distance from an edge, over the size of the body, of a corner that lies on it."""
 
@@ -59,7 +61,7 @@ class Fault:
             where=name,
             expected=f"repair = true {self.remedy}"
             if self.remedy
-            else "mend it in the program that it comes from",
+            else f"{ELSEWHERE}; repair = true cannot",
         )
 
 
@@ -97,7 +99,7 @@ class Surface:
         if not exact.edges.is_closed or (heights(exact.corners) < FLAT).any():
             distance = DIGITS * float(np.abs(exact.points).max())
             near, more = plain.welded(distance, name)
-            if _wrong(near.edges) < _wrong(exact.edges):
+            if near.wrong < exact.wrong:
                 exact, left_out = near, more
         extent = np.ptp(exact.points, axis=0)
         if extent.min() <= _NO_THICKNESS * extent.max():
@@ -157,6 +159,31 @@ class Surface:
         first = np.unique(np.sort(self.triangles, axis=1), axis=0, return_index=True)[1]
         return np.setdiff1d(np.arange(len(self.triangles)), first)
 
+    @cached_property
+    def facing(self) -> IntArray:
+        """Both of each two triangles with the same corners, the other way round."""
+        _, of, count = np.unique(
+            np.sort(self.triangles, axis=1), axis=0, return_inverse=True, return_counts=True
+        )
+        of = of.reshape(-1)
+        a, b, c = self.triangles.T
+        ahead = ((a < b).astype(int) + (b < c) + (c < a)) == 2  # as in ascending order
+        return np.flatnonzero((count[of] == 2) & (np.bincount(of, ahead)[of] == 1))
+
+    @property
+    def wrong(self) -> int:
+        """How many edges have not two triangles."""
+        return int((self.edges.count != 2).sum())
+
+    def without_doubled(self) -> Surface:
+        """Each triangle once, or neither of two that face each other where two bodies touch."""
+        every = np.arange(len(self.triangles))
+        once = self.kept(np.setdiff1d(every, self.doubled))
+        if not len(self.facing):
+            return once
+        apart = self.kept(np.setdiff1d(every, np.union1d(self.doubled, self.facing)))
+        return apart if apart.wrong < once.wrong else once
+
 
 def crowded(name: str) -> MeshError:
     """The error of a surface that has lost its shape by the digits of its coordinates."""
@@ -165,10 +192,6 @@ def crowded(name: str) -> MeshError:
         where=name,
         expected="the origin near the surface",
     )
-
-
-def _wrong(edges: Edges) -> int:
-    return int((edges.count != 2).sum())
 
 
 def find_faults(surface: Surface, *, all_of_them: bool = False) -> list[Fault]:
@@ -188,8 +211,14 @@ def _doubled(surface: Surface) -> list[Fault]:
     rows = surface.doubled
     if not len(rows):
         return []
-    what = f"{counted(len(rows), 'triangle is', 'triangles are')} there twice"
-    return [Fault(what, "leaves them out", surface.corners[rows].mean(axis=1))]
+    what, remedy = (
+        f"{counted(len(rows), 'triangle is', 'triangles are')} there twice",
+        "leaves them out",
+    )
+    if set(rows) <= set(surface.facing):
+        what = f"faces touch: {what}, the other way round"
+        remedy = "makes one body of those that touch"
+    return [Fault(what, remedy, surface.corners[rows].mean(axis=1))]
 
 
 def _crowded(surface: Surface) -> list[Fault]:
