@@ -97,7 +97,7 @@ def test_strips_of_ply(tmp_path):
 
 
 FAULTS = {
-    "hole": (UNIT[1:], r"has a hole: 3 edges .* mm; repair = true closes small holes"),
+    "hole": (UNIT[1:], r"has a hole: 3 edges .* mm; repair = true closes gaps and small holes"),
     "turned": (np.concatenate([UNIT[:2, ::-1], UNIT[2:]]), "2 triangles are turned round, first"),
     "doubled": (np.concatenate([UNIT, UNIT[:1]]), "1 triangle is there twice, at"),
     "touching": (

@@ -89,8 +89,9 @@ def _mended(surface: Surface, name: str, unit: LengthUnit) -> Mended:
     if gap:
         moved = gap
         steps.append(f"corners up to {unit.length(gap * unit.metres)} apart made one")
-    if count := len(surface.doubled):
-        surface = surface.without_doubled()
+    if len(surface.doubled):
+        count, surface = len(surface.triangles), surface.without_doubled()
+        count -= len(surface.triangles)
         steps.append(f"{counted(count, 'doubled triangle', 'doubled triangles')} left out")
     surface, count = _divided(surface, ON_EDGE * size)
     if count:

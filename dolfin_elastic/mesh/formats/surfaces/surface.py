@@ -247,7 +247,7 @@ def _open(surface: Surface) -> list[Fault]:
     rest = rest[[not (a in inner and b in inner) for a, b in zip(*both, strict=True)]]
     if len(rest):
         what = f"the surface has a hole: {counted(len(rest), 'edge', 'edges')} with one triangle"
-        result.append(Fault(what, "closes small holes", surface.middles(rest)))
+        result.append(Fault(what, "closes gaps and small holes", surface.middles(rest)))
     return result
 
 
