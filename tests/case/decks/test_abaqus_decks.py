@@ -539,6 +539,48 @@ def test_couplings(tmp_path: Path) -> None:
     }
 
 
+def test_the_order_of_couplings_and_supports(tmp_path: Path) -> None:
+    """*BOUNDARY above the *COUPLING of its reference node was one of no node of the body, and the
+    lid was free."""
+    below = lidded("KINEMATIC", "9, 1, 6\n9, 3, 3, 0.02\n", "bottom, 1, 0.\n")
+    head, tail = "*COUPLING", "*BOUNDARY"
+    coupling = below[below.index(head) : below.index(tail)]
+    support = below[below.index(tail) : below.index("*MATERIAL")]
+    above = below.replace(coupling + support, support + coupling)
+    assert above != below
+    assert one(tmp_path, above)["support"] == one(tmp_path, below)["support"]
+    assert one(tmp_path, above)["support"][1]["displacement"] == [0, 0, "0.02 mm"]
+    twice = below.replace(coupling, coupling * 2)
+    (fault,) = faults(tmp_path, twice)
+    assert "another *COUPLING, *RIGID BODY or *EQUATION has its reference node" in fault
+
+
+TURNED = "*NSET, NSET=ref\n9\n*TRANSFORM, NSET=ref\n0., 1., 0., -1., 0., 0.\n"
+LOCAL = {
+    ("9, 1, 6\n", "top, 3, 1.\n"): "",
+    ("9, 1, 3\n", "top, 3, 1.\n"): "",
+    ("9, 1\n", "9, 5, 0.\n"): "local directions (*TRANSFORM) at a reference node",
+    ("9, 1, 3, 0.1\n", "top, 3, 1.\n"): "local directions (*TRANSFORM) at a reference node",
+    ("", "9, 1, 1.\n"): "local directions (*TRANSFORM) at a reference node",
+}
+
+
+@pytest.mark.parametrize("words", LOCAL)
+def test_local_directions_of_reference_nodes(tmp_path: Path, words: tuple[str, str]) -> None:
+    """They were those of the body, in silence; what is 0 in all directions is so in any."""
+    text = lidded("KINEMATIC", *words)
+    found = faults(tmp_path, text.replace("*BOUNDARY", f"{TURNED}*BOUNDARY", 1))
+    assert all(LOCAL[words] in fault for fault in found)
+    assert bool(found) is bool(LOCAL[words])
+
+
+def test_local_directions_below_their_supports(tmp_path: Path) -> None:
+    """A *TRANSFORM below them was without effect, in silence."""
+    turned = "*TRANSFORM, NSET=top\n3., 4., 0., -4., 3., 0.\n"
+    (fault,) = faults(tmp_path, cube(f"*BOUNDARY\ntop, 1\n{turned}" + STEEL + STATIC.format("")))
+    assert "its nodes have a *BOUNDARY or *CLOAD above it" in fault
+
+
 def test_local_directions(tmp_path: Path) -> None:
     """Supports along turned axes, all three along any, and forces by their components."""
     more = (

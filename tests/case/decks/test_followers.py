@@ -161,6 +161,13 @@ def test_what_a_case_does_not_have(tmp_path: Path, bulk: str) -> None:
         assert any(OTHERS[bulk] in note for note in notes)
 
 
+@pytest.mark.parametrize("bulk", [f"{RBE2},,20.", f"{RBE3}\n,ALPHA,,20."])
+def test_a_temperature_without_an_expansion(tmp_path: Path, bulk: str) -> None:
+    """The temperature of reference (TREF) alone was said to be the coefficient before it."""
+    deck = read(tmp_path, f"{bulk}\nTEMPD,4,30.", more="TEMP(LOAD) = 4")
+    assert not any("expansion" in str(one) for one in deck.left_out)
+
+
 BROKEN = {
     RBE3.replace("1.,123", "1.,12"): "other directions than 123",
     RBE3.replace("1.,123", "1.,456"): "other directions than 123; components 123",

@@ -126,6 +126,21 @@ def test_nodes_joined_to_a_body_that_is_turned(tmp_path: Path) -> None:
     }
 
 
+def test_a_direction_that_is_prescribed_twice(tmp_path: Path) -> None:
+    """The later motion took the place of the one before it, in silence; equal ones are one."""
+    motion = (
+        '<rigid_bc type="rigid_displacement"><rb>hard</rb><dof>x</dof><value>{}</value></rigid_bc>'
+    )
+    still = '<rigid_bc type="rigid_fixed"><rb>hard</rb><Rx_dof>1</Rx_dof></rigid_bc>'
+    for first, second in ((0.1, 0.2), (0.1, 0.1)):
+        rigid = motion.format(first) + motion.format(second)
+        found = [str(fault) for fault in read(tmp_path, rigid, block=True).faults]
+        said = "direction Rx of 'hard' is prescribed twice, in different ways"
+        assert [said in text for text in found] == [True] * (first != second)
+    (fault,) = read(tmp_path, motion.format(0.1) + still, block=True).faults
+    assert "prescribed twice" in str(fault)
+
+
 def test_rigid_parts_without_tetrahedra(tmp_path: Path) -> None:
     """Of a shell there is no boundary and no centre of mass."""
     text = febio_text(POINTS, {"bar": CELLS}, version="4.0", more=RIGID_PLATE)

@@ -33,7 +33,7 @@ def take_coupling(state: Reading, card: Card) -> None:
         raise card.error(f"'{word[:60]}' is not one node")
     point = [float(x) for x in state.mesh.points[nodes[0]]]
     state.coupling = Coupling(place(card), state.name(card, "surface", surface), point)
-    state.couplings[nodes[0]] = state.coupling
+    _follow(state, card, nodes[0], state.coupling)
 
 
 def take_rigid_body(state: Reading, card: Card) -> None:
@@ -53,9 +53,16 @@ def take_rigid_body(state: Reading, card: Card) -> None:
         raise card.error("REF NODE or ROT NODE is not one node")
     point = [float(x) for x in state.mesh.points[nodes[0][0]]]
     one = Coupling(place(card), name, point, kind="KINEMATIC")
-    state.couplings[nodes[0][0]] = one
+    _follow(state, card, nodes[0][0], one)
     if len(nodes) > 1:
         state.turning[nodes[1][0]] = one
+
+
+def _follow(state: Reading, card: Card, node: int, one: Coupling) -> None:
+    """Makes a node the reference node of a surface."""
+    if node in state.couplings:
+        state.fault(card, "another *COUPLING, *RIGID BODY or *EQUATION has its reference node")
+    state.couplings[node] = one
 
 
 def take_kind(state: Reading, card: Card) -> None:
@@ -94,6 +101,8 @@ def take_at_nodes(state: Reading, card: Card) -> Card:
             words[1:] = support_words(card, words)
         for one, shift in filter(None, (follower_of(state, node) for node in nodes)):
             _prescribe(one, card, row, words, shift)
+            if _is_turned(state, card, nodes, one, directions(card, words, shift)):
+                state.fault(card, "local directions (*TRANSFORM) at a reference node", row)
     numbered = any(card.lines[row].strip()[:1].isdigit() for row in rest)
     cell = all(one.kind == "PERIODIC" for one in state.couplings.values())
     if numbered and len(rest) < len(card.lines) and not cell:
@@ -139,6 +148,23 @@ def directions(card: Card, words: list[str], shift: int) -> list[int]:
     else:
         held = (*_range(card, words[1:3] if boundary else words[1:2]),)
     return [i + shift for i in held if i + shift <= ALL]
+
+
+def _is_turned(
+    state: Reading, card: Card, nodes: list[int], one: Coupling, held: list[int]
+) -> bool:
+    """Whether a line is in local directions, and would be another one in those of the body.
+
+    What is 0 in all three directions is so in any.
+
+    Args:
+        nodes: Rows of the nodes that the line names.
+        held: Directions, 1 to 6, that it has prescribed.
+    """
+    local = any(np.isin(nodes, other.nodes).any() for other in state.transforms)
+    triples = [set(held) & three for three in ({1, 2, 3}, {4, 5, 6})]
+    still = card.word == "BOUNDARY" and not any(one.moved[i] for i in held)
+    return local and not (still and all(len(some) in (0, 3) for some in triples))
 
 
 def _prescribe(one: Coupling, card: Card, row: int, words: list[str], shift: int) -> None:

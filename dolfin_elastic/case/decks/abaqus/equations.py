@@ -50,6 +50,9 @@ def _take(state: Reading, card: Card, row: int, terms: list[tuple[int, int, floa
         return
     state.equations.append(one)
     for node, _ in form:
+        if node in state.couplings and state.couplings[node].kind != "PERIODIC":
+            state.fault(card, "it has the reference node of a *COUPLING or *RIGID BODY", row)
+            return
         point = [float(x) for x in state.mesh.points[node]]
         state.couplings.setdefault(node, Coupling(place(card), "", point, kind="PERIODIC"))
 

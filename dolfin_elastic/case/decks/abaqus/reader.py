@@ -6,7 +6,7 @@ Every keyword is carried over, is one of the mesh or of results, or is listed wi
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from difflib import get_close_matches
 from pathlib import Path
 
@@ -59,7 +59,7 @@ _FAULTS = {
     "MPC": "equations between nodes are not there; where parts are joined, [[tie]]",
     "DISTRIBUTING COUPLING": 'state it as a load of kind "remote-force"',
     "DASHPOT": 'state it as a support of kind "dashpot"',
-    "MASS": "state it as [[mass]]",
+    "MASS": "a mass at a node: [[mass]] spreads one over a surface",
     "GAP": "state it as [[contact]]",
     "PRE-TENSION SECTION": 'state it as a load of kind "bolt"',
     "CYCLIC SYMMETRY MODEL": "cyclic symmetry is not there",
@@ -92,23 +92,38 @@ def read(path: Path) -> Deck:
                 where=path.name,
                 expected="mesh with tetrahedra, or with triangles in 2D",
             )
-    state, parts = Reading(Deck(PROGRAM, path.name), mesh, path.name), MeshDeck()
-    for card in with_parts(parts, read_cards(path)):
-        if card.word == "INSTANCE":
-            state.instance = card.option("NAME")
-            parts.instances[state.instance.upper()] = Scope(state.instance)
-        elif card.word in ("END INSTANCE", "END ASSEMBLY"):
-            state.instance = ""
-        try:
-            _take(state, card)
-        except MeshError:
-            raise
-        except (ValueError, IndexError, OverflowError):
-            raise card.error("one of its lines cannot be read") from None
+    state = Reading(Deck(PROGRAM, path.name), mesh, path.name)
+    cards = list(_with_instances(path))
+    for first in (True, False):  # *BOUNDARY may stand above the *COUPLING of its reference node
+        for instance, card in cards:
+            state.instance = instance
+            if (card.word in _FOLLOWING) is first:
+                _take_whole(state, card)
     state.finish_step()
     equations.tie(state)
     _finish(state)
     return state.deck
+
+
+def _with_instances(path: Path) -> Iterator[tuple[str, Card]]:
+    """The keywords of a deck, each with the instance in which it stands."""
+    parts, instance = MeshDeck(), ""
+    for card in with_parts(parts, read_cards(path)):
+        if card.word == "INSTANCE":
+            instance = card.option("NAME")
+            parts.instances[instance.upper()] = Scope(instance)
+        elif card.word in ("END INSTANCE", "END ASSEMBLY"):
+            instance = ""
+        yield instance, card
+
+
+def _take_whole(state: Reading, card: Card) -> None:
+    try:
+        _take(state, card)
+    except MeshError:
+        raise
+    except (ValueError, IndexError, OverflowError):
+        raise card.error("one of its lines cannot be read") from None
 
 
 def _take(state: Reading, card: Card) -> None:
@@ -211,6 +226,8 @@ _TAKE: dict[str, Callable[[Reading, Card], None]] = {
     ),
     **dict.fromkeys((*steps.PROCEDURES, *steps.OTHER_ANALYSES), steps.take_procedure),
 }
+_FOLLOWING = frozenset(("COUPLING", "KINEMATIC", "DISTRIBUTING", "RIGID BODY", "EQUATION"))
+"""Keywords that say which nodes are reference nodes."""
 
 
 # --- what the whole deck says ---

@@ -29,7 +29,13 @@ def take_transform(state: Reading, card: Card) -> None:
     if plain and not sizes.all():
         raise card.error("its two points and the origin are on one line")
     rows = axes / sizes[:, None] if plain else None
-    state.transforms.append(Transform(state.mesh.point_sets[name], rows))
+    nodes = state.mesh.point_sets[name]
+    before = {one for one, _ in (*state.supports, *state.forces)}
+    reference = [node for node, one in state.couplings.items() if one.moved or one.forces]
+    every = [*(state.mesh.point_sets[one] for one in before), np.array(reference, dtype=np.int64)]
+    if any(np.isin(nodes, one).any() for one in every):
+        state.fault(card, "its nodes have a *BOUNDARY or *CLOAD above it: put it above them")
+    state.transforms.append(Transform(nodes, rows))
 
 
 def in_directions_of_the_body(state: Reading, card: Card) -> Card:

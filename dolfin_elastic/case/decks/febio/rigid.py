@@ -105,7 +105,8 @@ class Bodies:
                 if (body := self._of(tag)) is not None:
                     for i, name in enumerate(("vx", "vy", "vz"), start=4):
                         value = tag.first(name)
-                        body.motion[i] = clock.amount(tag, [(value, 1)]) if value else _ZERO
+                        amount = clock.amount(tag, [(value, 1)]) if value else _ZERO
+                        self._hold(tag, body, i, amount)
             else:
                 self._leave_out(tag, f"'{kind[:40]}' of rigid bodies is not known here")
 
@@ -117,7 +118,13 @@ class Bodies:
             switches = [child.name for child in tag.children if child.name.endswith("_dof")]
             words = [name.removesuffix("_dof") for name in switches if flag(tag, name)]
         for word in words:
-            body.motion[self._direction(tag, word, None)] = _ZERO
+            self._hold(tag, body, self._direction(tag, word, None), _ZERO)
+
+    def _hold(self, tag: Tag, body: _Body, i: int, amount: Amount) -> None:
+        """Prescribes a displacement or rotation, once."""
+        if body.motion.setdefault(i, amount) != amount:
+            text = f"direction R{_AXES[i - 1]} of '{body.name[:40]}' is prescribed twice"
+            self._leave_out(tag, f"{text}, in different ways")
 
     def _direction(self, tag: Tag, word: str, first: int | None) -> int:
         """Number of a direction, such as Rx, x or Ru.
@@ -140,7 +147,7 @@ class Bodies:
             i = self._direction(tag, tag.content("dof"), first)
             amount = clock.amount(tag, [(tag.first("value"), 1), (tag.first("scale"), 1)])
             if kind in _MOTIONS:
-                body.motion[i] = amount
+                self._hold(tag, body, i, amount)
                 return
             before = body.forces.get(i, Amount([0.0], amount.ramp))
             if before.ramp != amount.ramp:

@@ -347,13 +347,14 @@ def _references(entries: Iterable[Entry]) -> set[int]:
 
 
 def expansion(entry: Entry) -> float:
-    """Coefficient of thermal expansion of an RBE2 or RBE3."""
+    """Coefficient of thermal expansion of an RBE2 or RBE3, in front of its temperature."""
     if entry.name == "RBE2":
         first = len(_bare(entry).fields)
     else:
         words = [word.upper() for word in entry.fields]
         first = words.index("ALPHA") + 1 if "ALPHA" in words else len(words)
-    return next((entry.real(i) for i in range(first, len(entry.fields)) if entry.text(i)), 0.0)
+    given = [i for i in range(first, len(entry.fields)) if entry.text(i)]
+    return 0.0 if given in ([], [first + 1]) else entry.real(given[0])
 
 
 def _bare(entry: Entry) -> Entry:
