@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers.images import write_nifti
+from helpers.images import write_dicom, write_nifti
 from mpi4py import MPI
 
 from dolfin_elastic import Case
@@ -39,6 +39,21 @@ def test_values_of_an_image(tmp_path: Path) -> None:
     assert found.spacing == pytest.approx((1.0, 2.0, 3.0))
     grey = np.arange(512, dtype=np.int16).reshape(8, 8, 8)
     assert look_at_image(write_nifti(tmp_path / "b.nii", grey, affine)).values == ()
+
+
+def test_values_of_a_folder_of_slices(tmp_path: Path) -> None:
+    """Of the series that is chosen; a slice alone names the folder."""
+    pytest.importorskip("pydicom")
+    for series, name, value in (("1.2.3", "soft", 4), ("1.2.4", "bone", 9)):
+        values = np.full((2, 3, 4), value, dtype=np.int16)
+        write_dicom(tmp_path / "scan", values, np.eye(4), series=series, description=name)
+    with pytest.raises(InputError, match="scan: series: the folder has 2 series"):
+        look_at_image(tmp_path / "scan")
+    found = look_at_image(tmp_path / "scan", series="bone")
+    assert [(row.value, row.voxels) for row in found.values] == [(9.0, 24)]
+    assert found.source == "scan"
+    with pytest.raises(InputError, match="this is one slice; the folder with all files"):
+        look_at_image(min((tmp_path / "scan").iterdir()))
 
 
 def test_a_missing_image_is_one_error() -> None:

@@ -48,18 +48,19 @@ class ImageLook:
     values: tuple[ValueRow, ...]
 
 
-def look_at_image(path: Path) -> ImageLook:
+def look_at_image(path: Path, *, series: str = "") -> ImageLook:
     """Counts the voxels of each value. Not collective.
 
     Args:
-        path: A file of any kind that `read_image` reads, but no folder of DICOM files.
+        path: An image of any kind that `read_image` reads.
+        series: Of a folder of DICOM files, see there.
 
     Raises:
         MeshError: It cannot be read.
     """
     from dolfin_elastic.mesh.images.read import read_image
 
-    image = read_image(path)
+    image = read_image(path, series=series)
     values, counts = np.unique(image.values, return_counts=True)
     volume = float(abs(np.linalg.det(image.affine[:3, :3])))
     rows = [
@@ -67,7 +68,7 @@ def look_at_image(path: Path) -> ImageLook:
         for value, count in zip(values[: _LABELS + 1], counts, strict=False)
     ]
     return ImageLook(
-        source=path.name,
+        source=path.resolve().name,
         shape=tuple(int(n) for n in image.values.shape),
         spacing=tuple(float(x) for x in image.spacing),
         unit="" if image.unit is None else image.unit.name,

@@ -22,6 +22,9 @@ def look(
         Path | None,
         typer.Option("--output", "-o", metavar="PNG", help="Draw the body into this file."),
     ] = None,
+    series: Annotated[
+        str, typer.Option("--series", metavar="NAME", help="Of several in a folder of DICOM files.")
+    ] = "",
     json: Annotated[bool, typer.Option("--json", help="Print JSON, for scripts.")] = False,
     trust: Trust = False,
 ) -> None:
@@ -32,6 +35,7 @@ def look(
       dolfin-elastic look bracket.toml -o look.png     with supports, loads and contacts
       dolfin-elastic look mesh.msh --json | jq .surfaces
       dolfin-elastic look labels.nii.gz                values of an image, with their volumes
+      dolfin-elastic look scan/ --series 3             of a folder of DICOM files
 
     Faces of CAD files have numbers; [surfaces] of a case names them: holes = {faces = [7, 8]}.
 
@@ -46,7 +50,7 @@ def look(
     from dolfin_elastic.case.look.listing import Look
     from dolfin_elastic.case.look.look import look_at
     from dolfin_elastic.core.parallel import on_root
-    from dolfin_elastic.mesh.images.read import is_image
+    from dolfin_elastic.mesh.images.read import is_image, is_slice
 
     comm = MPI.COMM_WORLD
     collect_garbage()
@@ -55,14 +59,18 @@ def look(
     if output is not None and output.suffix.lower() != ".png":
         raise CaseError(f"the picture '{output}' is no .png", where="--output", expected="look.png")
     annotated: Look | ImageLook
-    if is_image(what):
+    if is_image(what) or is_slice(what) or what.is_dir():
         if output is not None:
             raise CaseError(
                 "an image of voxels is not drawn",
                 where="--output",
                 expected="leave it out, or look at a case with this image in [mesh]",
             )
-        annotated = on_root(comm, lambda: look_at_image(what))
+        annotated = on_root(comm, lambda: look_at_image(what, series=series))
+    elif series:
+        raise CaseError(
+            "a file has one series", where="--series", expected="leave it out, or name a folder"
+        )
     else:
         annotated = look_at(what, picture=output, trust=trust, comm=comm)
     if comm.rank == 0 and json:

@@ -32,6 +32,8 @@ _OF_A_FRAME = 1e-3
 _NEEDED = ("ImagePositionPatient", "ImageOrientationPatient", "PixelSpacing", "Rows", "Columns")
 _PREAMBLE = 128
 _MARK = b"DICM"
+_PLAIN = ("1.2.840.10008.1.2", "1.2.840.10008.1.2.1", "1.2.840.10008.1.2.2")
+"""Transfer syntaxes without compression."""
 _DEFLATED = "1.2.840.10008.1.2.1.99"
 _FIRST = 1 << 16
 """Bytes of an element that are read with the header: longer ones, such as pixels, wait."""
@@ -108,10 +110,14 @@ def _chosen(
     for path, header in headers:
         groups.setdefault(str(header.get("SeriesInstanceUID", "")), []).append((path, header))
     named = {uid: (_named(uid, files[0][1]), files) for uid, files in groups.items()}
-    found = [files for uid, (name, files) in named.items() if _matches(wanted, uid, files[0][1])]
+    found = [files for uid, (_, files) in named.items() if _is_named(wanted, uid, files[0][1])]
+    found = found or [files for _, files in named.values() if _matches(wanted, files[0][1])]
     if len(found) == 1:
         return found[0]
-    names = [f"{name}, {len(files)} slices" for name, files in named.values()]
+    names = [
+        f"{name}, {len(files)} {'slice' if len(files) == 1 else 'slices'}"
+        for name, files in named.values()
+    ]
     raise MeshError(
         f"'{wanted}' means {len(found)} of the {len(names)} series"
         if wanted
@@ -127,24 +133,23 @@ def _named(uid: str, header: FileDataset) -> str:
     return "".join(c for c in text if c.isprintable())[:80]
 
 
-def _matches(wanted: str, uid: str, header: FileDataset) -> bool:
-    description = str(header.get("SeriesDescription", "") or "")
-    return (
-        not wanted
-        or wanted == uid
-        or wanted == str(header.get("SeriesNumber", ""))
-        or wanted.lower() in description.lower()
-        or wanted.lower() == _named(uid, header).lower()
-    )
+def _is_named(wanted: str, uid: str, header: FileDataset) -> bool:
+    """Whether a series has this identifier, number or whole name."""
+    number = str(header.get("SeriesNumber", ""))
+    return wanted != "" and wanted.lower() in (uid, number, _named(uid, header).lower())
+
+
+def _matches(wanted: str, header: FileDataset) -> bool:
+    """Whether a series has this in its description."""
+    return wanted.lower() in str(header.get("SeriesDescription", "") or "").lower()
 
 
 def _slice(path: Path, header: FileDataset) -> _Slice:
+    frames = int(header.get("NumberOfFrames", 1) or 1)
     for key in _NEEDED:
-        if header.get(key) in (None, ""):
-            frames = int(header.get("NumberOfFrames", 1) or 1)
-            what = f"{frames} frames in one file" if frames > 1 else f"it states no {key}"
+        if frames > 1 or header.get(key) in (None, ""):
             raise MeshError(
-                what,
+                f"{frames} frames in one file" if frames > 1 else f"it states no {key}",
                 where=path.name,
                 expected="slices of a scan, a file each (an enhanced file can be saved as .nii.gz)",
             )
@@ -225,11 +230,14 @@ class _Stack:
         try:
             pixels = np.asarray(pydicom.dcmread(one.path).pixel_array)
         except Exception as error:  # whatever the library or one of its decoders raises
-            name = getattr(one.header.file_meta.get("TransferSyntaxUID"), "name", "unknown")
+            syntax = one.header.file_meta.get("TransferSyntaxUID")
+            name = getattr(syntax, "name", "unknown")
             raise MeshError(
                 f"its pixels ({name}) cannot be decoded: {' '.join(str(error).split())[:160]}",
                 where=one.path.name,
-                expected="a series without compression: gdcmconv --raw, or dcmdjpeg of dcmtk",
+                expected="the whole file, as it was written"
+                if syntax in _PLAIN
+                else "a series without compression: gdcmconv --raw, or dcmdjpeg of dcmtk",
             ) from None
         if pixels.shape != shape:
             raise MeshError(

@@ -18,6 +18,11 @@ def is_image(path: str | Path) -> bool:
     return str(path).lower().endswith(SUFFIXES)
 
 
+def is_slice(path: str | Path) -> bool:
+    """Whether a name has the suffix of one slice of a DICOM series."""
+    return str(path).lower().endswith((".dcm", ".ima"))
+
+
 def read_image(path: str | os.PathLike[str], *, series: str = "") -> Image:
     """Reads an image of voxels, in NIfTI's frame, see `Image`. Local: one rank reads.
 
@@ -63,7 +68,7 @@ def _read(path: Path, series: str) -> Image:
         from dolfin_elastic.mesh.images.vti import read_vti
 
         return read_vti(path)
-    if name.endswith((".dcm", ".ima")):
+    if is_slice(path):
         raise MeshError("this is one slice", expected="the folder with all files of the series")
     raise MeshError(f"a {path.suffix or 'nameless'} file is no image that is read", expected=_KINDS)
 

@@ -82,7 +82,7 @@ def _scalars(piece: ElementTree.Element) -> tuple[ElementTree.Element, bool]:
     if len(found) != 1:
         names = ", ".join(f"'{array.get('Name', '')}'" for array, _ in found[:8])
         raise MeshError(
-            f"it has {len(found)} arrays of one number a voxel",
+            f"it has {len(found) or 'no'} arrays of one number a voxel",
             expected="one, or one that is marked as Scalars" + (f", of {names}" if names else ""),
         )
     return found[0]

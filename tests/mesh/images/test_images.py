@@ -117,7 +117,11 @@ def test_series(tmp_path: Path) -> None:
     with pytest.raises(MeshError, match=r"2 series.*7 bone, 6 slices; 7 soft, 6 slices"):
         read_image(tmp_path)
     np.testing.assert_array_equal(read_image(tmp_path, series="bone").values, VALUES + 7)
-    with pytest.raises(MeshError, match="'air' means 0 of the 2 series"):
+    write_dicom(tmp_path, VALUES + 1, BOX, series="1.2.5", description="soft 2")
+    np.testing.assert_array_equal(read_image(tmp_path, series="7 soft").values, VALUES)
+    with pytest.raises(MeshError, match="'soft' means 2 of the 3 series"):
+        read_image(tmp_path, series="soft")
+    with pytest.raises(MeshError, match="'air' means 0 of the 3 series"):
         read_image(tmp_path, series="air")
 
 
@@ -133,6 +137,23 @@ def test_dicom_faults(tmp_path: Path) -> None:
         read_image(packed)
     with pytest.raises(MeshError, match="no DICOM images"):
         read_image(nothing(tmp_path))
+    short = write_dicom(tmp_path / "short", VALUES, BOX)
+    first = min(short.iterdir())
+    first.write_bytes(first.read_bytes()[:-10])
+    with pytest.raises(MeshError, match="Little Endian.*; the whole file, as it was written"):
+        read_image(short)
+
+
+def test_several_frames_in_one_file(tmp_path: Path) -> None:
+    """Of a dose, which states a place: its array was said to have another shape."""
+    pydicom = pytest.importorskip("pydicom")
+    folder = write_dicom(tmp_path, VALUES[:, :, :1], BOX)
+    (path,) = folder.iterdir()
+    one = pydicom.dcmread(path)
+    one.NumberOfFrames, one.PixelData = 2, one.PixelData * 2
+    one.save_as(path)
+    with pytest.raises(MeshError, match="2 frames in one file"):
+        read_image(folder)
 
 
 def test_without_pydicom(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
