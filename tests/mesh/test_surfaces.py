@@ -124,6 +124,34 @@ def test_faults_are_named_and_mended(fault, tmp_path):
     assert "the surface has been mended: " in found.notes[0]
 
 
+def klein_bottle(m=12, n=12):
+    """Of the figure eight: closed, with one side, and it runs through itself."""
+
+    def point(i, j):
+        u, v = (i, j) if i < m else (0, -j)
+        u, v = 2 * np.pi * u / m, 2 * np.pi * (v % n) / n
+        a, b = np.sin(v), np.sin(2 * v)
+        r = 2 + np.cos(u / 2) * a - np.sin(u / 2) * b
+        z = np.sin(u / 2) * a + np.cos(u / 2) * b
+        return r * np.cos(u), r * np.sin(u), z
+
+    squares = [
+        [point(i, j), point(i + 1, j), point(i + 1, j + 1), point(i, j + 1)]
+        for i in range(m)
+        for j in range(n)
+    ]
+    return np.array([t for a, b, c, d in squares for t in ((a, b, c), (a, c, d))])
+
+
+def test_one_side_alone_is_one_message(tmp_path):
+    """It was a crash with repair."""
+    path = write_stl(tmp_path / "a.stl", klein_bottle())
+    with pytest.raises(MeshError, match="the surface has one side only"):
+        made(path)
+    with pytest.raises(MeshError, match="repair cannot mend this: the surface has one side only"):
+        made(path, repair=True)
+
+
 DENTED = np.where((UNIT == 0).all(axis=2, keepdims=True), (0.5, 0.25, 1.0), UNIT)
 """A cube of which a corner is pressed in until it touches the face opposite."""
 IN_VAIN = ".*mend it in the program that it comes from; repair = true cannot"

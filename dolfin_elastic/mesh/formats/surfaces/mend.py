@@ -206,7 +206,10 @@ def _united(surface: Surface, name: str) -> tuple[Surface, bool]:
     pairs = crossings(surface.points, surface.triangles, most=100_000)
     if not len(pairs):
         return surface, False
-    surface = turned_outwards(surface)
+    try:
+        surface = turned_outwards(surface)
+    except OneSidedError:
+        return surface, False  # found again
     shell, _ = oriented(surface.edges)
     s, t = shell[pairs].T
     if (s == t).any():
