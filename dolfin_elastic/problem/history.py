@@ -25,7 +25,6 @@ from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.mesh.body import Body
 from dolfin_elastic.model.materials.growth import GrownLaw
 from dolfin_elastic.model.materials.memory import Memory
-from dolfin_elastic.model.materials.prony import Prony
 from dolfin_elastic.model.materials.stepped import SteppedLaw
 from dolfin_elastic.problem.constraints.periodic.unit_cell import Cell
 from dolfin_elastic.problem.context import FormContext
@@ -164,7 +163,7 @@ class History:
         grows: There is growth or warmth, which stores energy of its own.
 
     Attributes:
-        relaxes: A material has a Prony series.
+        relaxes: The stress of a material fades with time.
         timed: A material depends on how long a step takes.
         yields: A material depends on previous strains, however long they took.
         long_term: In place of a sudden load, all that relaxes has done so, until `begin`.
@@ -185,8 +184,8 @@ class History:
         }
         memories = [part.memory for part in self._regions.values()]
         self.timed = any(memory.timed for memory in memories)
-        self.yields = not all(memory.timed for memory in memories)
-        self.relaxes = any(isinstance(memory, Prony) for memory in memories)
+        self.yields = not all(memory.fades for memory in memories)
+        self.relaxes = any(memory.fades for memory in memories)
         weak_form.stepped.update({name: part.law for name, part in self._regions.items()})
         self.long_term = False
         self._t: float | None = None  # of the past that is committed
@@ -217,7 +216,7 @@ class History:
         if step != self._step:
             self._step = step
             for part in self._regions.values():
-                fades = self.long_term and isinstance(part.memory, Prony)
+                fades = self.long_term and part.memory.fades
                 dt = step if fades or not self.long_term else 0.0
                 part.begin_step(dt, passes=self.passes or fades)
 

@@ -29,7 +29,6 @@ from dolfin_elastic.mesh.body import Body
 from dolfin_elastic.model.axes import MATERIAL
 from dolfin_elastic.model.loads import Load
 from dolfin_elastic.model.materials.law import SplitLaw
-from dolfin_elastic.model.materials.prony import Prony
 from dolfin_elastic.model.supports.displacement import Normal
 from dolfin_elastic.model.supports.springs import ResistingSupport
 from dolfin_elastic.model.tie import EXPLICIT_TIES, IMPLICIT
@@ -99,7 +98,7 @@ def _check_memory(case: Case, body: Body) -> None:
     timed = any(memory.timed for memory in memories)
     for table, modes in (("modal", case.modal), ("buckling", case.buckling)):
         if modes is not None:
-            relaxes = any(isinstance(memory, Prony) for memory in memories)
+            relaxes = any(memory.fades for memory in memories)
             refuse_stiffness(modes, table, relaxes=relaxes)
     if not memories:
         return

@@ -90,10 +90,12 @@ class Memory(ABC):
     Attributes:
         variables: What is kept.
         timed: It depends on how long a step takes: no time passes in a preload.
+        fades: In a body at rest all of it is forgotten after a long time.
     """
 
     variables: tuple[Variable, ...]
     timed: bool = True
+    fades: bool = False
 
     @property
     def seen(self) -> tuple[Variable, ...]:

@@ -207,6 +207,7 @@ class Relaxation(Memory):
     All branches fold into one tensor H, the same for the whole step.
     """
 
+    fades = True
     seen = (Variable("H", "symmetric"),)
     found = (Variable("S", "symmetric"),)
 
