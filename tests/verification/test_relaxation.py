@@ -32,6 +32,7 @@ from dolfin_elastic import (
     run,
 )
 from dolfin_elastic.case.check.consistency import check
+from dolfin_elastic.case.check.materials import error_of_steps, material_information
 from dolfin_elastic.case.tables import Material
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.parallel import on_root
@@ -609,6 +610,42 @@ def test_check_notes() -> None:
     assert any("nothing relaxes in [modal]" in note for note in notes)
     case = Case(**CASE, statics={"steps": 10})
     assert not any("relax" in note for note in check(case, case.read_body()))
+
+
+def test_check_says_what_relaxes() -> None:
+    case = Case(**CASE, statics={"steps": 40})
+    text = "materials.gel.viscous: the isochoric stress relaxes to 50 % of that of a sudden load"
+    assert text in material_information(case)
+
+
+def test_coarse_steps_are_told() -> None:
+    """With the error of a sine as fast as the branch."""
+
+    def notes(**tables: Any) -> list[str]:
+        case = Case(**CASE, **tables)
+        return [note for note in check(case, case.read_body()) if "steps of" in note]
+
+    assert notes(statics={"steps": 40}) == []
+    (note,) = notes(statics={"steps": 5})
+    assert note == (
+        "materials.gel.viscous: steps of 200 ms beside a time of 50 ms: where the strain changes "
+        "as fast, the stress is off by about 20 %; steps of 25 ms keep it below 1 %"
+    )
+    assert len(notes(statics={"max_step": 0.2})) == 1
+    assert len(notes(dynamics={"end": 1, "dt": 0.2})) == 1
+    assert notes(modal={"count": 2}) == notes(dynamics={"end": 1, "dt": 0.02}) == []
+
+
+def test_the_error_of_steps_is_that_of_a_sine() -> None:
+    """sin(t/tau) of one branch, over a period: the largest error of its stress, over the stress."""
+    law = LinearElastic(mu=MU, nu=0.3, viscous=[{"ratio": 2.0, "time": 0.1}])
+    period, n = 0.1 * 2 * np.pi, 20
+    states = judged(Statics(sheared(law, 0.01, "sin(10*t)"), end=period, steps=n))
+    t = np.array([state.t for state in states]) / 0.1
+    wanted = MU * 0.01 * (np.sin(t) + (np.sin(t) + np.cos(t) - np.exp(-t)))
+    off = np.abs([shear_stress(state) for state in states] - wanted).max()
+    expected = error_of_steps(law, period / n) * np.abs(wanted).max()
+    assert 0.5 * expected < off < 1.5 * expected
 
 
 def test_what_grows_for_many_seconds_is_told() -> None:

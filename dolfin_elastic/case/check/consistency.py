@@ -11,6 +11,7 @@ import numpy as np
 from dolfin_elastic.case.analysis import ANALYSES
 from dolfin_elastic.case.case import Case, in_order, locate_errors
 from dolfin_elastic.case.check.initial_state import NOTHING_MOVES
+from dolfin_elastic.case.check.materials import step_notes
 from dolfin_elastic.case.check.plausibility import plausibility_notes
 from dolfin_elastic.case.toml import key_parts, key_text
 from dolfin_elastic.core.errors import (
@@ -553,6 +554,7 @@ def _notes(case: Case) -> Iterator[str]:
                 f"materials.{key_text(name)}.viscous: nothing relaxes in [{case.analysis}]: the "
                 "stiffness is that of a sudden load"
             )
+    yield from step_notes(case)
     if case.analysis != "dynamics" and case.whole.dynamics is not None:
         for key in ("load", "support"):
             for i, row in enumerate(getattr(case, key)):

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 
 from dolfin_elastic.case.case import Case
 from dolfin_elastic.case.toml import key_text
-from dolfin_elastic.core.si_text import given
+from dolfin_elastic.core.si_text import given, percent, quantity
 from dolfin_elastic.model.materials.law import Law
 from dolfin_elastic.model.materials.spatial import units_of
 from dolfin_elastic.model.strength import Strength
@@ -25,8 +25,62 @@ def stability_notes(case: Case) -> Iterator[str]:
 
 
 def material_information(case: Case) -> tuple[str, ...]:
-    """Up to which stretches laws are stable whatever their constants, digits lost."""
-    return (*_stable_ranges(case), *_rounded(case))
+    """Up to which stretches laws are stable whatever their constants, digits lost, what relaxes."""
+    return (*_stable_ranges(case), *_rounded(case), *_relaxing(case))
+
+
+def _relaxing(case: Case) -> Iterator[str]:
+    for name, material in case.materials.items():
+        if (law := material.law).viscous:
+            what = "whole" if law.relaxes_whole else "isochoric"
+            yield (
+                f"materials.{key_text(name)}.viscous: the {what} stress relaxes to "
+                f"{percent(law.lasting / law.sudden)} of that of a sudden load"
+            )
+
+
+_ERROR = 0.01
+"""Of the stress, from which on the size of time steps is worth a note."""
+
+
+def step_notes(case: Case) -> Iterator[str]:
+    """Time steps that are long beside the times in which a material relaxes. Local."""
+    if case.gives_modes or (dt := _longest_step(case)) is None:
+        return
+    for name, material in case.materials.items():
+        if not (law := material.law).viscous or (error := error_of_steps(law, dt)) <= _ERROR:
+            continue
+        finer, shortest = dt, min(term.time for term in law.viscous)
+        while error_of_steps(law, finer) > _ERROR:
+            finer /= 2
+        yield (
+            f"materials.{key_text(name)}.viscous: steps of {quantity(dt, 's')} beside a time of "
+            f"{quantity(shortest, 's')}: where the strain changes as fast, the stress is off by "
+            f"about {percent(error)}; steps of {quantity(finer, 's')} keep it below "
+            f"{percent(_ERROR)}"
+        )
+
+
+def _longest_step(case: Case) -> float | None:
+    """Of the case [s]; None where that is not known."""
+    if case.dynamics is not None:
+        return None if case.dynamics.adaptive else case.dynamics.dt
+    if (statics := case.statics) is None:
+        return None
+    return statics.max_step if statics.steps is None else statics.end / statics.steps
+
+
+def error_of_steps(law: Law, dt: float) -> float:
+    """Error of the stress of a strain that varies as fast as the branches, over the stress.
+
+    Over a step the strain is taken as linear in time; of exp(t/tau) and sin(t/tau) the chords are
+    off by (dt/tau)^2/12 in the mean.
+
+    Args:
+        dt: Length of the steps [s].
+    """
+    errors = (term.ratio * min((dt / term.time) ** 2 / 12, 1.0) for term in law.viscous)
+    return sum(errors) / law.sudden
 
 
 def material_constants(case: Case) -> Iterator[str]:
