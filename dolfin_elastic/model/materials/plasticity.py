@@ -132,12 +132,6 @@ class Plastic(Isotropic, SplitLaw):
 
     @model_validator(mode="after")
     def _yields(self) -> Self:
-        if self.viscous:
-            raise InputError(
-                "a material that yields and relaxes is not computed",
-                where="viscous",
-                expected="leave it out; plastic_viscosity makes the yield stress depend on the rate",
-            )
         curve = self.hardening
         table = curve.table if isinstance(curve, HardeningCurve) else ()
         if table and self.yield_stress is not None:

@@ -64,7 +64,7 @@ def refuse_stiffness(
 
     Args:
         table: "modal" or "buckling".
-        relaxes: A material has a Prony series.
+        relaxes: The stress of a material fades with time, so that there are two.
 
     Raises:
         InputError: `stiffness` is given, and none has.
