@@ -55,6 +55,31 @@ def test_a_ball_becomes_curved_cells_of_its_volume() -> None:
     assert not file.notes
 
 
+def test_a_tube_of_long_triangles() -> None:
+    """Two triangles from end to end on each of 15 sides, as CAD programs export it.
+
+    Twelve quadratic cells round it miss 0.7 % of its volume; the triangles given, which were taken
+    in their place, make cells whose height is 1/1000 of their length.  A regular one is 1.
+    """
+    angles = 2 * np.pi * np.arange(15) / 15
+    ring = np.column_stack([np.cos(angles), np.sin(angles), np.zeros(15)])
+    points = np.concatenate([r * ring + [0, 0, z] for r in (1.0, 0.6) for z in (0.0, 8.0)])
+    i = np.arange(15)
+    j = (i + 1) % 15
+    sides = [(i, j, j + 15, i + 15), (j + 30, i + 30, i + 45, j + 45)]
+    sides += [(i + 15, j + 15, j + 45, i + 45), (j, i, i + 30, j + 30)]
+    triangles = [np.column_stack(k) for a, b, c, d in sides for k in ((a, b, c), (a, c, d))]
+    plc = alone((points, np.concatenate(triangles), np.zeros((120, 3))))
+    file = filled(plc, size=0.6)
+    assert volumes(file)["region0"] == pytest.approx(region_volumes(plc)[0], rel=1e-3)
+    x = file.points[file.blocks[0].nodes[:, :4]]
+    edges = x[:, [1, 2, 3, 2, 3, 3]] - x[:, [0, 0, 0, 1, 1, 2]]
+    quality = np.sqrt(2) * abs(np.linalg.det(x[:, 1:] - x[:, :1]))
+    quality /= np.linalg.norm(edges, axis=2).max(axis=1) ** 3
+    assert quality.min() > 0.02
+    assert not file.notes
+
+
 def test_a_box_keeps_its_sides_and_straight_cells() -> None:
     file = filled(alone(box((1, 2, 3), n=3)), size=0.8)
     assert file.blocks[0].kind == "tetra"

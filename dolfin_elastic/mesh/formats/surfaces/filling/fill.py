@@ -29,8 +29,11 @@ _STEEPEST = 20.0
 _CAP = 10.0
 """Smallest size over the deviation: an edge of this size on a circle, of which it is an eighth, is
 so far from it."""
-_ROUNDS = 8.0, 12.0
+_ROUNDS = 8.0, 12.0, 24.0
 """Elements round a circle, the coarser first."""
+_FEW = 20_000
+"""Cells of the way before it up to which the last of these is tried: on tubes of long triangles the
+coarser ones may miss the volume, and the triangles given make cells without height."""
 _VOLUME = 1e-3
 """Relative error of a volume from which on another way is tried."""
 _KEPT = 1 / 4
@@ -84,6 +87,8 @@ def fill(
     best: tuple[float, _Way, Mapping[str, AnyArray]] | None = None
     error: MeshError | None = None
     for way in _ways(plc, size, deviation, straight=curved is False, even=even):
+        if way.round == _ROUNDS[-1] and (best is None or len(best[2]["cells"]) > _FEW):
+            continue
         left = until - time.monotonic() - (permission.seconds * _KEPT if way.remesh else 0.0)
         try:
             filled = _filled(plc, bodies, source, way, left)
