@@ -8,7 +8,8 @@ OF_A_CASE = frozenset(
         *("TIE", "EQUATION", "MPC", "COUPLING", "RIGID BODY", "SPRING", "DASHPOT", "MASS"),
         *("ELASTIC", "HYPERELASTIC", "PLASTIC", "DENSITY", "EXPANSION", "DAMPING", "ORIENTATION"),
         *("SOLID SECTION", "AMPLITUDE", "INITIAL CONDITIONS", "TRANSFORM", "KINEMATIC"),
-        *("DISTRIBUTING", "FREQUENCY", "BUCKLE", "DYNAMIC"),
+        *("DISTRIBUTING", "FREQUENCY", "BUCKLE", "DYNAMIC", "CONTROLS", "SOLVER", "TIME POINTS"),
+        *("SURFACE INTERACTION", "SURFACE BEHAVIOR", "FRICTION", "CONTACT"),
     )
 )
 """Keywords of the model, no part of the mesh, and reported so that nobody relies on them."""
