@@ -5,6 +5,7 @@ Uniaxial stress needs one equation of the axial plastic strain, which is solved 
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Callable
 from typing import Any
 
@@ -16,6 +17,7 @@ from mpi4py import MPI
 
 from dolfin_elastic import (
     J2,
+    Case,
     Dynamics,
     J2Logarithmic,
     Problem,
@@ -24,6 +26,7 @@ from dolfin_elastic import (
     box_body,
     rectangle_body,
 )
+from dolfin_elastic.case.check.consistency import check
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.model.materials.law import Law
 from dolfin_elastic.problem.state import State
@@ -328,3 +331,25 @@ def test_constants_are_checked(keys: dict[str, Any], text: str) -> None:
 def test_a_back_stress_at_large_strains_is_refused() -> None:
     with pytest.raises(InputError, match="kinematic: a back stress at large strains"):
         J2Logarithmic(E=E, nu=NU, yield_stress=YIELD, kinematic=1e9)
+
+
+@pytest.mark.parametrize("degree", [1, 2])
+def test_linear_elements_are_noted(degree: int) -> None:
+    """They lock where the material yields; quadratic ones, the default, do not."""
+    text = f"""
+        [mesh]
+        box = {{ size = [1, 1, 1], cells = [1, 1, 1] }}
+        degree = {degree}
+
+        [materials.steel]
+        law = "j2"
+        E = {E}
+        nu = {NU}
+        yield = {YIELD}
+
+        [[support]]
+        on = "left"
+        """
+    case = Case.from_dict(tomllib.loads(text))
+    notes = check(case, case.read_body())
+    assert any("linear elements lock" in note for note in notes) == (degree == 1)

@@ -30,6 +30,7 @@ from dolfin_elastic.mesh.body import Body
 from dolfin_elastic.model.axes import MATERIAL
 from dolfin_elastic.model.loads import Load
 from dolfin_elastic.model.materials.law import SplitLaw
+from dolfin_elastic.model.materials.plasticity import Plastic
 from dolfin_elastic.model.supports.displacement import Normal
 from dolfin_elastic.model.supports.springs import ResistingSupport
 from dolfin_elastic.model.tie import EXPLICIT_TIES, IMPLICIT
@@ -544,6 +545,11 @@ def _rate_free(case: Case) -> str:
 def _notes(case: Case) -> Iterator[str]:
     """Keys without effect in the case's analysis."""
     for name, material in case.materials.items():
+        if isinstance(material.law, Plastic) and case.degree == 1:
+            yield (
+                f"materials.{key_text(name)}: linear elements lock where the material yields, and "
+                "limit loads are up to a third too high: mesh.degree = 2 does not"
+            )
         if material.law.viscosity is not None and (rate_free := _rate_free(case)):
             yield f"materials.{key_text(name)}: viscosity does nothing in {rate_free}"
         memory = material.law.memory

@@ -90,6 +90,18 @@ LAWS = {
         {"law": "arruda-boyce", "mu": "0.35 MPa", "limit": 2.8, "volumetric": "simo-taylor"},
     ),
     "no D1": ("*HYPERELASTIC, NEO HOOKE\n0.5\n", {"mu": "1 MPa", "K": "20 MPa"}),
+    "ideal": (
+        "*ELASTIC\n9., 0.3\n*PLASTIC\n2., 0.\n",
+        {"law": "j2", "E": "9 MPa", "yield": "2 MPa"},
+    ),
+    "table": (
+        "*PLASTIC\n2., 0.\n3., 0.1, 0.\n*ELASTIC\n9., 0.3\n",
+        {"law": "j2", "hardening": [[0.0, "2 MPa"], [0.1, "3 MPa"]]},
+    ),
+    "kinematic": (
+        "*ELASTIC\n9., 0.3\n*PLASTIC, HARDENING=KINEMATIC\n2., 0.\n3., 0.1\n",
+        {"law": "j2", "yield": "2 MPa", "kinematic": "10 MPa"},
+    ),
     "constants": (
         "*ELASTIC, TYPE=ENGINEERING CONSTANTS\n3., 2., 1., .1, .2, .3, 4., 5.,\n6.\n",
         {"law": "orthotropic", "E1": "3 MPa", "nu23": 0.3, "G13": "5 MPa", "G23": "6 MPa"},
@@ -126,7 +138,8 @@ def test_stiffnesses_of_ortho(tmp_path: Path) -> None:
 
 
 LACKING = {
-    "*PLASTIC\n200., 0.\n": "PLASTIC: plasticity is not there",
+    "*PLASTIC, HARDENING=COMBINED\n200., 0.\n": "PLASTIC: HARDENING=COMBINED is not there",
+    "*PLASTIC\n200., 0., 20.\n100., 0., 300.\n": "PLASTIC: constants that depend on the temper",
     "*VISCOELASTIC, TIME=PRONY\n.1, 0., 1.\n": "VISCOELASTIC: state it as `viscous`",
     "*EXPANSION, TYPE=ORTHO\n1., 2., 3.\n": "EXPANSION: it is not the same everywhere",
     "*USER MATERIAL, CONSTANTS=1\n1.\n": "its subroutine cannot be read",

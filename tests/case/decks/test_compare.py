@@ -175,12 +175,12 @@ def test_what_changes_the_answer_is_an_error(
 ) -> None:
     """Nothing is written without --anyway, and then the file says what it lacks."""
     monkeypatch.chdir(tmp_path)
-    Path("cube.inp").write_text(deck().replace("*SOLID", "*PLASTIC\n200., 0.\n*SOLID"))
+    Path("cube.inp").write_text(deck().replace("*SOLID", "*CREEP\n1., 2., 0.\n*SOLID"))
     words = ["import", "cube.inp", "--units", "mm-t-s"]
     assert command(monkeypatch, *words) == 2
-    assert "plasticity is not there yet" in capsys.readouterr().err
+    assert "creep is not there" in capsys.readouterr().err
     assert not list(tmp_path.glob("*.toml"))
     assert command(monkeypatch, *words, "--anyway") == 0
     head = Path("cube.toml").read_text().partition("[mesh]")[0]
     assert "NOT CARRIED OVER, and the answer is another one:" in head
-    assert "*PLASTIC" in head
+    assert "*CREEP" in head

@@ -10,15 +10,14 @@ from dolfin_elastic.case.decks.deck import Deck, Entry, Place, Quantity
 from dolfin_elastic.mesh.formats.abaqus.cards import Card
 
 OTHER_LAWS = {
-    "PLASTIC": "plasticity is not there yet",
-    "CYCLIC HARDENING": "plasticity is not there yet",
-    "DEFORMATION PLASTICITY": "plasticity is not there yet",
-    "MOHR COULOMB": "plasticity is not there yet",
-    "CREEP": "creep is not there yet",
+    "CYCLIC HARDENING": "this kind of hardening is not there",
+    "DEFORMATION PLASTICITY": "this law is not there",
+    "MOHR COULOMB": "this law is not there",
+    "CREEP": "creep is not there",
     "VISCOELASTIC": "state it as `viscous` of the material, see the guide on materials",
     "HYPERFOAM": "this law is not there",
     "USER MATERIAL": "its subroutine cannot be read",
-    "CONCRETE DAMAGED PLASTICITY": "plasticity is not there yet",
+    "CONCRETE DAMAGED PLASTICITY": "this law is not there",
     "MULLINS EFFECT": "this law is not there",
     "DAMAGE INITIATION": "damage is not there",
     "NO COMPRESSION": "this law is not there",
@@ -98,7 +97,7 @@ def material_entry(deck: Deck, material: Material, use: Use) -> Entry:
     """The table of a material, without `on`; what it lacks is in `left_out`."""
     keys: dict[str, object] = {}
     remarks: list[str] = []
-    where = place(material.card)
+    where, plastic = place(material.card), None
     for card in material.cards:
         if card.word in ("ELASTIC", "HYPERELASTIC"):
             take = _elastic if card.word == "ELASTIC" else _hyperelastic
@@ -113,6 +112,8 @@ def material_entry(deck: Deck, material: Material, use: Use) -> Entry:
             keys["expansion"] = Quantity(_one(deck, card)[0], "expansion")
         elif card.word == "DAMPING":
             continue  # of the motion, see steps.py
+        elif card.word == "PLASTIC":
+            plastic = card
         elif card.word in OTHER_LAWS:
             deck.leave_out(place(card), OTHER_LAWS[card.word], "changes the answer")
         elif card.word in WITHOUT_EFFECT:
@@ -122,6 +123,8 @@ def material_entry(deck: Deck, material: Material, use: Use) -> Entry:
     if "law" not in keys:
         text = f"the material {material.name} has no *ELASTIC or *HYPERELASTIC"
         deck.leave_out(place(material.card), text, "changes the answer")
+    elif plastic is not None:
+        keys = _plastic(deck, plastic, keys, use)
     return Entry(where, keys, "; ".join(remarks))
 
 
@@ -172,6 +175,36 @@ def _elastic(deck: Deck, card: Card, use: Use, remarks: list[str]) -> dict[str, 
         return {"law": "orthotropic", **_orthotropic(card, kind, constants)}
     deck.leave_out(place(card), f"TYPE={kind} is not there", "changes the answer")
     return {}
+
+
+def _plastic(deck: Deck, card: Card, elastic: dict[str, object], use: Use) -> dict[str, object]:
+    """The keys of an elastic material with those of its yield stress.
+
+    Rows of the table are the yield stress and the plastic strain, beyond the last it is constant.
+    """
+    kind = card.options.get("HARDENING", "ISOTROPIC").upper()
+    rows = [[*floats(card, i), 0.0, 0.0][:3] for i in range(len(card.lines))]
+    table = [(a, s) for s, a, temperature in rows if temperature == rows[0][2]]
+    why = ""
+    if "E" not in elastic or len(rows) == 0:
+        why = "beside another law than *ELASTIC, TYPE=ISO" if rows else "it has no table"
+    elif kind not in ("ISOTROPIC", "KINEMATIC") or (kind == "KINEMATIC" and len(table) > 2):
+        why = f"HARDENING={kind} is not there but for a straight line"
+    elif kind == "KINEMATIC" and use.large:
+        why = "a back stress at large strains (NLGEOM) is not there"
+    if why:
+        deck.leave_out(place(card), why, "changes the answer")
+        return elastic
+    if len(table) < len(rows):
+        text = "constants that depend on the temperature; those of the first line's hold"
+        deck.leave_out(place(card, len(table)), text, "changes the answer")
+    keys = {**elastic, "law": "j2-logarithmic" if use.large else "j2"}
+    if len(table) == 1:
+        return {**keys, "yield": stress(table[0][1])}
+    if kind == "KINEMATIC":
+        (a, low), (b, high) = table
+        return {**keys, "yield": stress(low), "kinematic": stress((high - low) / (b - a or 1.0))}
+    return {**keys, "hardening": [[a, stress(s)] for a, s in table]}
 
 
 def _orthotropic(card: Card, kind: str, c: list[float]) -> dict[str, object]:

@@ -33,7 +33,7 @@ from dolfin_elastic.mesh.formats.raw import kind_name
 
 PROGRAM = "Abaqus or CalculiX"
 _OF_MATERIALS = frozenset(
-    ("ELASTIC", "HYPERELASTIC", "DENSITY", "EXPANSION", *OTHER_LAWS, *WITHOUT_EFFECT)
+    ("ELASTIC", "HYPERELASTIC", "PLASTIC", "DENSITY", "EXPANSION", *OTHER_LAWS, *WITHOUT_EFFECT)
 )
 _NOTES = {
     "CONTROLS": "settings of the solver are the case's own",
