@@ -17,7 +17,7 @@ from dolfin_elastic.core.jit.cell_integrals import CellExpression
 from dolfin_elastic.core.types import AnyArray, FloatArray, IndexArray, IntArray
 from dolfin_elastic.model.materials.law import Law, ModifiedLaw, once
 from dolfin_elastic.results.components import ComponentForms, check_axes
-from dolfin_elastic.results.fields import FIELDS
+from dolfin_elastic.results.fields import table_of
 
 if TYPE_CHECKING:
     from dolfin_elastic.problem.material_regions import MaterialRegion
@@ -44,7 +44,7 @@ def cell_components(
 
     Args:
         w: All unknowns of the state.
-        names: Fields of `FIELDS` that have a formula.
+        names: Fields of `field_table` that have a formula.
         where: Key of the case file that asks for the fields, for the message.
 
     Returns:
@@ -54,7 +54,8 @@ def cell_components(
     Raises:
         InputError: An energy density of a law without a strain energy, or unknown axes.
     """
-    check_axes(names, problem.axes)
+    table = table_of(problem)
+    check_axes(names, problem.axes, table)
     F = problem.weak_form.F(w)
     law = cast("Law", _Once(problem.weak_form.response(region, w)))
     if "energy_density" in names and not law.has_energy:
@@ -63,7 +64,8 @@ def cell_components(
             where=where,
             expected="leave the field 'energy_density' out",
         )
-    part, fields = ComponentForms(problem, law, F), [FIELDS[name] for name in names]
+    part = ComponentForms(problem, law, F)
+    fields = [table[name] for name in names]
     tensors = (one.of_cell(law, F) if (c := one.component) is None else part(c) for one in fields)
     return [None if tensor is None else _components(tensor) for tensor in tensors]
 
@@ -135,7 +137,7 @@ def cell_kernel(
 
     Args:
         w: All unknowns of the states that are to be evaluated.
-        names: Fields of `FIELDS` that have a formula.
+        names: Fields of `field_table` that have a formula.
         points: Shape (points, dim).
         where: See `cell_components`.
 
@@ -146,7 +148,8 @@ def cell_kernel(
         InputError: See `cell_components`.
     """
     components = cell_components(problem, region, w, names, where)
-    widths = [FIELDS[name].evaluated for name in names]
+    table = table_of(problem)
+    widths = [table[name].evaluated for name in names]
     columns = np.flatnonzero(np.repeat([part is not None for part in components], widths))
     if not len(columns):
         return None

@@ -30,7 +30,7 @@ from dolfin_elastic.model.axes import JOINT, MATERIAL, LocalAxes, PlacedAxes
 from dolfin_elastic.model.materials.law import Law
 from dolfin_elastic.model.materials.spatial import frame
 from dolfin_elastic.results.field import Component, FieldTable
-from dolfin_elastic.results.fields import FIELDS, fibre_of
+from dolfin_elastic.results.fields import FIELDS, fibre_of, table_of
 
 if TYPE_CHECKING:
     from dolfin_elastic.problem.problem import Problem
@@ -101,7 +101,8 @@ class ComponentForms:
     """
 
     def __init__(self, problem: Problem, law: Law, F: Expr) -> None:
-        self._whole = cache(lambda name: FIELDS[name].of_cell(law, F))
+        self._table = table_of(problem)
+        self._whole = cache(lambda name: self._table[name].of_cell(law, F))
         self._axes = cache(lambda name: _axes(problem, name, law, F))
 
     def __call__(self, component: Component) -> Expr | None:
@@ -110,7 +111,7 @@ class ComponentForms:
         Returns:
             None: the law has no such quantity, or no axes.
         """
-        field, value = FIELDS[component.field], self._whole(component.field)
+        field, value = self._table[component.field], self._whole(component.field)
         axes = self._axes(component.axes)
         if value is None or axes is None:
             return None

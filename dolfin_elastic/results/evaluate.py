@@ -23,7 +23,7 @@ from dolfin_elastic.problem.terms.contact.friction import SLIP
 from dolfin_elastic.results.cell_fields import CellKernel, cell_kernel, unknowns_of_outputs
 from dolfin_elastic.results.components import check_axes, component_rows
 from dolfin_elastic.results.field import Component, RecoveredField
-from dolfin_elastic.results.fields import check_field_names, field_table
+from dolfin_elastic.results.fields import check_field_names, laws_of, table_of
 from dolfin_elastic.results.grid import Grid
 from dolfin_elastic.results.recovery.error import ErrorEstimate, ErrorEstimator
 from dolfin_elastic.results.recovery.stress import NodalStress, StressRecovery
@@ -108,8 +108,8 @@ class Evaluator:
     """
 
     def __init__(self, problem: Problem, names: Iterable[str]) -> None:
-        self.problem, self.names = problem, check_field_names(names, problem.body)
-        self.table = field_table(problem.body)
+        self.problem, self.names = problem, check_field_names(names, problem.body, laws_of(problem))
+        self.table = table_of(problem)
         check_axes(self.names, problem.axes, self.table)
         wholes = {self.table[name].whole or name for name in self.names}
         self.grid = Grid(problem.V, problem.places)

@@ -26,12 +26,14 @@ from dolfin_elastic.model.materials.spatial import direction
 from dolfin_elastic.model.materials.spectral import polar
 from dolfin_elastic.model.strength import Strength
 from dolfin_elastic.results.derived import spectral
+from dolfin_elastic.results.derived.remembered import REMEMBERED, remembered_by
 from dolfin_elastic.results.field import Field, FieldTable, RecoveredField
 from dolfin_elastic.results.verdict import SAFEST
 
 if TYPE_CHECKING:
     from dolfin_elastic.mesh.body import Body
     from dolfin_elastic.mesh.fields import MeshField
+    from dolfin_elastic.problem.problem import Problem
 
 
 @once
@@ -384,6 +386,7 @@ _FIELDS: dict[str, Field] = {
         "direction of the smallest stretch, undeformed body",
         spectral.stretch_direction(2),
     ),
+    **REMEMBERED,
     "fibre": Field(
         "vector",
         "cell",
@@ -569,16 +572,27 @@ def name_in_results(name: str, body: Body) -> str:
     return name
 
 
-def field_table(body: Body) -> FieldTable:
-    """`FIELDS`, and the fields of a body that results can hold. Local."""
-    if not body.fields:
+def field_table(body: Body, laws: Iterable[Law] = ()) -> FieldTable:
+    """`FIELDS`, the fields of a body that results can hold, and what laws remember. Local."""
+    remembered = remembered_by(laws)
+    if not (body.fields or remembered):
         return FIELDS
-    rows = {
+    rows = remembered | {
         name_in_results(name, body): _of_body(name, given)
         for name, given in body.fields.items()
         if not _unfit(name, given)
     }
     return FieldTable({**_FIELDS, **rows})
+
+
+def laws_of(problem: Problem) -> list[Law]:
+    """The laws of a problem's materials."""
+    return [region.law for region in problem.regions]
+
+
+def table_of(problem: Problem) -> FieldTable:
+    """`field_table` of a problem. Local."""
+    return field_table(problem.body, laws_of(problem))
 
 
 def field_in_file(name: str) -> Field:
@@ -606,13 +620,18 @@ def _unfit(name: str, given: MeshField) -> str:
     return "" if plain else "has a name that files of results cannot hold"
 
 
-def check_field_names(names: Iterable[str], body: Body) -> tuple[str, ...]:
+def check_field_names(
+    names: Iterable[str], body: Body, laws: Iterable[Law] = ()
+) -> tuple[str, ...]:
     """The names, each once, in their order. Local.
+
+    Args:
+        laws: Of the materials, for what they remember.
 
     Raises:
         InputError: Neither results nor the body have such a field, or results cannot hold it.
     """
-    table, unique = field_table(body), tuple(dict.fromkeys(names))
+    table, unique = field_table(body, laws), tuple(dict.fromkeys(names))
     for name in unique:
         if name not in table:
             if name in body.fields:

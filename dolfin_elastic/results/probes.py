@@ -20,6 +20,7 @@ from dolfin_elastic.core.types import FloatArray, IndexArray
 from dolfin_elastic.core.units import MeshLength, metres
 from dolfin_elastic.mesh.geometry.curved import cell_volumes
 from dolfin_elastic.mesh.geometry.locate import LocatedPoint, locate
+from dolfin_elastic.model.materials.law import Law
 from dolfin_elastic.problem.state import State
 from dolfin_elastic.problem.terms.edges_points import points_of
 from dolfin_elastic.results.cell_fields import CellKernel, cell_kernel, unknowns_of_outputs
@@ -33,7 +34,13 @@ from dolfin_elastic.results.derived.part_numbers import (
 from dolfin_elastic.results.derived.reductions import reduction_of
 from dolfin_elastic.results.derived.sections import Section, SectionForces
 from dolfin_elastic.results.field import Field
-from dolfin_elastic.results.fields import FIELDS, check_field_names, component_names, field_table
+from dolfin_elastic.results.fields import (
+    check_field_names,
+    component_names,
+    field_table,
+    laws_of,
+    table_of,
+)
 from dolfin_elastic.results.moments import ReferencePoints, columns_of_moments
 from dolfin_elastic.results.reactions import REACTION, ReactionSums
 from dolfin_elastic.results.recovery.patches import sampling_points
@@ -98,16 +105,19 @@ class ProbePoint(Record):
             )
         return self
 
-    def check_fields(self, body: Body) -> None:
+    def check_fields(self, body: Body, laws: Iterable[Law] = ()) -> None:
         """Checks that the fields exist, and can be evaluated there. Local.
+
+        Args:
+            laws: Of the materials, for what they remember.
 
         Raises:
             InputError: They cannot.
         """
         if self.values:
-            check_field_names(self.fields, body)
+            check_field_names(self.fields, body, laws)
         else:
-            check_readable(self.fields, body)
+            check_readable(self.fields, body, laws)
 
     @property
     def part(self) -> str | None:
@@ -182,14 +192,17 @@ def _samples(body: Body, kind: str, on: str, degree: int) -> FloatArray:
     return every
 
 
-def check_readable(names: Iterable[str], body: Body) -> tuple[str, ...]:
+def check_readable(names: Iterable[str], body: Body, laws: Iterable[Law] = ()) -> tuple[str, ...]:
     """Checks that a probe in a body can evaluate these fields, and returns their names. Local.
+
+    Args:
+        laws: Of the materials, for what they remember.
 
     Raises:
         InputError: It cannot: the field is of nodes, but for displacement, velocity, acceleration
             and reaction, and is not one of the body.
     """
-    readable, table = (*NODAL, REACTION), field_table(body)
+    readable, table = (*NODAL, REACTION), field_table(body, laws)
     known = [n for n, row in table.items() if n in readable or row.formula or row.of_body]
     for name in (result := tuple(names)):
         whole = table[name].whole if name in table else ""
@@ -236,10 +249,11 @@ class Probe:
         others: Sequence[Callable[[State], Mapping[str, float]]] = (),
     ) -> None:
         self.problem, self.dim = problem, problem.body.dim
-        self._table = field_table(problem.body)
+        self._table, laws = table_of(problem), laws_of(problem)
         self._samples, self._parts, self._others = samples or {}, parts or {}, others
         of = fields if isinstance(fields, Mapping) else dict.fromkeys(points, tuple(fields))
-        asked = {name: check_readable(of[name], problem.body) for name in (*points, *self._samples)}
+        named = (*points, *self._samples)
+        asked = {name: check_readable(of[name], problem.body, laws) for name in named}
         check_axes((n for row in asked.values() for n in row), problem.axes, self._table)
         held: dict[str, str | Sequence[float]] = dict(reactions or {})
         held |= {name: place for name, place in points.items() if REACTION in asked[name]}
@@ -441,7 +455,8 @@ class _CellFields:
     ) -> None:
         mesh, self.places, self.names = problem.body.mesh, places, names
         self.w = unknowns_of_outputs(problem)
-        self.widths = [FIELDS[name].evaluated for name in names]
+        self._fields = {name: table_of(problem)[name] for name in names}
+        self.widths = [self._fields[name].evaluated for name in names]
         self.corners = fem.functionspace(mesh, ("Lagrange", 1)).dofmap
         self.volumes = cell_volumes(mesh)
         samples = sampling_points(problem.body.dim, problem.degree)
@@ -471,9 +486,9 @@ class _CellFields:
         ends = np.cumsum(self.widths)[:-1]
         return {
             point: {
-                name: np.asarray(FIELDS[name].finished(part)[0])
+                name: np.asarray(self._fields[name].finished(part)[0])
                 if self.places[point].cell >= 0
-                else np.zeros(FIELDS[name].columns)
+                else np.zeros(self._fields[name].columns)
                 for name, part in zip(self.names, np.split(row, ends, axis=1), strict=True)
             }
             for point, row in rows.items()

@@ -44,13 +44,13 @@ class DamagedOverStep(SteppedLaw):
 
     def at_end(self, F: Expr) -> dict[str, Expr]:
         strain = ufl.sym(self.law.strain(F))
-        return {"kappa": self._kappa(F), "count": self.past["count"] + 1, "strain": strain}
+        return {"kappa": self._kappa(F), "count": self.past["count"] + 1, "strain_before": strain}
 
 
 class Damage(Memory):
     """What it remembers."""
 
-    variables = (Variable("kappa"), Variable("count"), Variable("strain", "symmetric"))
+    variables = (Variable("kappa"), Variable("count"), Variable("strain_before", "symmetric"))
     timed = False
 
     def __init__(self, law: Law, limit: float) -> None:

@@ -40,7 +40,14 @@ from dolfin_elastic.problem.material_regions import check_user_energies, volume_
 from dolfin_elastic.problem.mesh_fields import check_fields
 from dolfin_elastic.problem.problem import placed_axes
 from dolfin_elastic.results.components import check_axes
-from dolfin_elastic.results.fields import FIBRE_FIELDS, check_field_names, field_table, has_fibre
+from dolfin_elastic.results.derived.remembered import REMEMBERED, remembers
+from dolfin_elastic.results.field import Field
+from dolfin_elastic.results.fields import (
+    FIBRE_FIELDS,
+    check_field_names,
+    field_table,
+    has_fibre,
+)
 from dolfin_elastic.solvers.dynamics import settings as dynamics
 from dolfin_elastic.solvers.eigen.settings import refuse_stiffness
 from dolfin_elastic.solvers.statics import settings as statics
@@ -321,23 +328,24 @@ def _check_output(case: Case, body: Body) -> None:
 
 def _check_field_names(case: Case, body: Body) -> None:
     """Fields that are asked for exist, and can be written, drawn or evaluated there."""
+    laws = [material.law for material in case.materials.values()]
     with all_errors() as attempt:
         for i, name in enumerate(case.output.fields or ()):
             with attempt(), keyed(f"output.fields[{i}]"):
-                check_field_names([name], body)
+                check_field_names([name], body, laws)
         for i, picture in enumerate(case.output.pictures):
             from dolfin_elastic.results.scene.pictures import check_drawable
 
             for name in picture.fields:
                 with attempt(), keyed(f"output.pictures[{i}].field"):
-                    check_drawable(name, body)
+                    check_drawable(name, body, laws)
         for key, probe in case.output.probes.items():
             with attempt(), keyed(f"output.probes.{key_text(key)}.fields"):
-                probe.check_fields(body)
+                probe.check_fields(body, laws)
 
 
 def _check_fields(case: Case, body: Body) -> None:
-    table = field_table(body)
+    table = field_table(body, [material.law for material in case.materials.values()])
     fields = [(f"output.fields[{i}]", name) for i, name in enumerate(case.output.fields or ())]
     fields += [
         (f"output.pictures[{i}].field", name)
@@ -352,7 +360,6 @@ def _check_fields(case: Case, body: Body) -> None:
     if case.analysis in ("modal", "buckling"):
         _check_mode_pictures(case)
     placed_axes(case.axes, body, case.mesh.geometry)
-    without_energy = [n for n, m in case.materials.items() if not m.law.has_energy]
     for where, name in fields:
         if (field := table.get(name)) is None:
             continue
@@ -370,31 +377,49 @@ def _check_fields(case: Case, body: Body) -> None:
                 where=where,
                 expected="history.csv has the reaction of each support",
             )
-        if name == "energy_density" and without_energy:
-            raise CaseError(
-                f"the law of '{without_energy[0]}' has no strain energy",
-                where=where,
-                expected="leave the field out",
-            )
-        component = field.component
-        of_law = component is not None and component.axes == MATERIAL
-        number = 0 if of_law else FIBRE_FIELDS.get(name)
-        if number is not None and not any(
-            has_fibre(material.law, number) for material in case.materials.values()
-        ):
-            raise CaseError(
-                f"no material has a {('first', 'second')[number]} direction of fibres",
-                where=where,
-                expected="leave the field out, or a law with fibres",
-            )
-        if name == "safety_factor" and all(
-            material.law.allowable is None for material in case.materials.values()
-        ):
-            raise CaseError(
-                "no material has an allowable stress",
-                where=where,
-                expected='write for example allowable = "40 MPa" under [materials.NAME]',
-            )
+        _check_field_of_materials(case, where, name, field)
+
+
+def _check_field_of_materials(case: Case, where: str, name: str, field: Field) -> None:
+    """What a field needs of the materials.
+
+    Args:
+        where: Dotted key of the case file that asks for the field, for messages.
+        name: Of the field, or of its component in local axes.
+
+    Raises:
+        CaseError: A material has not got it, or none has.
+    """
+    laws = [material.law for material in case.materials.values()]
+    without_energy = [n for n, m in case.materials.items() if not m.law.has_energy]
+    if name == "energy_density" and without_energy:
+        raise CaseError(
+            f"the law of '{without_energy[0]}' has no strain energy",
+            where=where,
+            expected="leave the field out",
+        )
+    component = field.component
+    of_law = component is not None and component.axes == MATERIAL
+    number = 0 if of_law else FIBRE_FIELDS.get(name)
+    if number is not None and not any(has_fibre(law, number) for law in laws):
+        raise CaseError(
+            f"no material has a {('first', 'second')[number]} direction of fibres",
+            where=where,
+            expected="leave the field out, or a law with fibres",
+        )
+    whole = field.whole or name
+    if whole in REMEMBERED and not any(remembers(law, whole) for law in laws):
+        raise CaseError(
+            f"there is no '{whole}': no material yields",
+            where=where,
+            expected="leave the field out, or a law such as j2",
+        )
+    if name == "safety_factor" and all(law.allowable is None for law in laws):
+        raise CaseError(
+            "no material has an allowable stress",
+            where=where,
+            expected='write for example allowable = "40 MPa" under [materials.NAME]',
+        )
 
 
 def _check_mode_pictures(case: Case) -> None:

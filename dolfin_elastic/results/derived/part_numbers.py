@@ -36,7 +36,7 @@ from dolfin_elastic.results.derived.reduction import Samples
 from dolfin_elastic.results.derived.reductions import ending, reduction_of
 from dolfin_elastic.results.evaluate import Evaluator
 from dolfin_elastic.results.field import Field
-from dolfin_elastic.results.fields import field_table
+from dolfin_elastic.results.fields import table_of
 
 if TYPE_CHECKING:
     from dolfin_elastic.mesh.body import Body
@@ -116,7 +116,7 @@ class PartNumbers:
     ) -> None:
         self.problem, self.kind, self.fields = problem, kind, tuple(fields)
         self._reductions = {name: reduction_of(name) for name in statistics}
-        self._w, self._table = unknowns_of_outputs(problem), field_table(problem.body)
+        self._w, self._table = unknowns_of_outputs(problem), table_of(problem)
         self._inside = tuple(name for name in fields if self._table[name].formula is not None)
         # Of fields with a formula the values at nodes are needed for their extremes alone.
         sought = {"max", "min"} & {*statistics}

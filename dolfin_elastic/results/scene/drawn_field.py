@@ -15,7 +15,7 @@ from dolfin_elastic.core.ghosts import with_ghosts
 from dolfin_elastic.core.types import AnyArray
 from dolfin_elastic.problem.state import State
 from dolfin_elastic.results.evaluate import Evaluator
-from dolfin_elastic.results.fields import field_table
+from dolfin_elastic.results.fields import table_of
 from dolfin_elastic.results.grid import to_nodes
 from dolfin_elastic.results.recovery.stress import (
     StressRecovery,
@@ -44,7 +44,7 @@ class DrawnField:
     """
 
     def __init__(self, problem: Problem, name: str) -> None:
-        field = field_table(problem.body)[name]
+        field = table_of(problem)[name]
         self.name, self._recovered = name, field.recovered and field.component is None
         self.linear = not self._recovered and name not in _SMOOTH
         self._recovery = StressRecovery(problem) if self._recovered else None

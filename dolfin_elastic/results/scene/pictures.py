@@ -10,7 +10,7 @@ import logging
 import math
 import re
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -32,7 +32,7 @@ from dolfin_elastic.mesh.geometry.simplices import dofs_on_facets
 from dolfin_elastic.model.loads.forces import Gravity
 from dolfin_elastic.problem.material_regions import shear_modulus
 from dolfin_elastic.problem.state import Mode, State, plain
-from dolfin_elastic.results.fields import check_field_names, field_table
+from dolfin_elastic.results.fields import check_field_names, field_table, laws_of, table_of
 from dolfin_elastic.results.files import make_folder, writing
 from dolfin_elastic.results.recovery.error import ERROR, ErrorEstimate
 from dolfin_elastic.results.recovery.peaks import peaks_of
@@ -55,6 +55,7 @@ from dolfin_elastic.results.writer import LastState, Numbers, StepInterval
 
 if TYPE_CHECKING:
     from dolfin_elastic.mesh.body import Body
+    from dolfin_elastic.model.materials.law import Law
     from dolfin_elastic.problem.problem import Problem
 
 log = logging.getLogger("dolfin_elastic")
@@ -89,15 +90,19 @@ class Film:
         return self.speed or (1.0 if state.timed else _STATICS)
 
 
-def check_drawable(name: str, body: Body) -> str:
+def check_drawable(name: str, body: Body, laws: Iterable[Law] = ()) -> str:
     """Checks that a picture of a body can show a field, and returns its name. Local.
+
+    Args:
+        laws: Of the materials, for what they remember.
 
     Raises:
         InputError: There is no such field, or it is that of the ranks.
     """
-    check_field_names([name], body)
+    laws = tuple(laws)
+    check_field_names([name], body, laws)
     if name == _NOT_DRAWN:
-        known = ", ".join(other for other in field_table(body) if other != name)
+        known = ", ".join(other for other in field_table(body, laws) if other != name)
         raise InputError(f"a picture cannot show '{name}'", expected=f"one of {known}")
     return name
 
@@ -174,7 +179,7 @@ class PictureWriter:
             folder = None if alone else path.with_name(f".{path.stem}_frames")
             self._series = Series(appearance.limits, marks=appearance.marks, folder=folder)
             for name in fields:  # before anything is removed
-                check_drawable(name, problem.body)
+                check_drawable(name, problem.body, laws_of(problem))
             on_root(problem.body.comm, self._clear)
             self._painter = Painter(problem, fields)
 
@@ -333,7 +338,8 @@ class Painter:
         self._failed, self._reach = False, Reach()
         weights = [g.acceleration(self.dim) for g in problem.loads if isinstance(g, Gravity)]
         self._up = up_against(weights) if self.dim == 3 else "z"
-        names, table = [check_drawable(n, problem.body) for n in fields], field_table(problem.body)
+        laws, table = laws_of(problem), table_of(problem)
+        names = [check_drawable(n, problem.body, laws) for n in fields]
         self._noise = {
             name: 0.0 if table[name].of_body else _round_off(problem, table[name].unit)
             for name in names
