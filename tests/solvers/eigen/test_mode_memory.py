@@ -22,6 +22,8 @@ from dolfin_elastic import (
 from dolfin_elastic.case.check.consistency import check
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.model.materials.law import Law
+from dolfin_elastic.model.materials.laws.j2 import J2
+from dolfin_elastic.model.materials.laws.j2_logarithmic import J2Logarithmic
 
 K, MU, G = 10.0, 3.0, 0.4
 PRONY = [{"g": 0.3, "tau": 1}, {"g": 0.1, "tau": 0.01}]
@@ -84,6 +86,21 @@ def test_a_preload_that_yields_is_refused() -> None:
     with pytest.raises(InputError, match="a material has yielded") as error:
         list(Buckling(column(law, -0.01), count=1, preload=0.5).steps())
     assert error.value.where == "buckling.preload"
+
+
+@pytest.mark.parametrize("kind", [J2, J2Logarithmic])
+@pytest.mark.parametrize("pull", [0.05, 0.25])
+def test_a_metal_below_its_yield_stress_has_modes(kind: type[Law], pull: float) -> None:
+    """At 0.05 Pa, not at 0.25 Pa, of a yield stress of 0.2 Pa: round-off is no yielding."""
+    law = kind(E=10, nu=0.3, density=1, hardening=1, **{"yield": 0.2})
+    problem = column(law, pull)
+    modes = Modal(problem, count=1, preload=True)
+    if pull < 0.2:
+        (mode,) = modes.modes()
+        assert mode.frequency > 0
+    else:
+        with pytest.raises(InputError, match="a material has yielded"):
+            list(modes.modes())
 
 
 def test_at_rest_nothing_has_yielded() -> None:
