@@ -22,6 +22,7 @@ from dolfin_elastic import (
 )
 from dolfin_elastic.case.check.consistency import check
 from dolfin_elastic.mesh import Body
+from dolfin_elastic.model.materials.laws.j2 import J2
 from dolfin_elastic.problem.state import State
 
 PAIRS = [["left", "right"], ["bottom", "top"]]
@@ -151,6 +152,28 @@ def test_a_prescribed_stress_creeps() -> None:
         off.append(abs(state.numbers["F12"] / wanted - 1))
     assert np.log2(off[1] / off[2]) == pytest.approx(2, abs=0.1)
     assert off[2] < 1e-3
+
+
+# --- metals ---
+
+
+def test_a_cell_yields() -> None:
+    """In simple shear sqrt(3) tau = yield + slope a, tau = mu (gamma - sqrt(3) a); and back."""
+    limit, slope, gamma = 0.02, 1.0, 0.02
+    law = J2(mu=MU, nu=0.3, hardening=slope, **{"yield": limit})
+    periodic = Periodic(
+        pairs=PAIRS3,
+        gradient=[[1, gamma, 0], [0, 1, 0], [0, 0, 1]],
+        curve=[[0, 0], [1, 1], [2, 0.9]],
+    )
+    problem = Problem(box_body(size=(1, 1, 1), cells=(2, 1, 1)), law, periodic=periodic, degree=1)
+    a = (np.sqrt(3) * MU * gamma - limit) / (3 * MU + slope)
+    *_, yielded, back = judged(problem, steps=2, end=2)
+    tau = MU * (gamma - np.sqrt(3) * a)
+    assert yielded.numbers["P12"] == pytest.approx(tau, rel=1e-9)
+    assert back.numbers["P12"] == pytest.approx(tau - MU * 0.1 * gamma, rel=1e-9)
+    work = limit * a + slope * a**2 / 2
+    assert back.energies["dissipated"] == pytest.approx(work, rel=1e-9)
 
 
 # --- restarts ---
