@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING
 
 from dolfin_elastic.core import timing
 from dolfin_elastic.core.errors import ElasticError, InputError, SolveError
-from dolfin_elastic.core.si_text import counted, number
+from dolfin_elastic.core.si_text import counted, number, percent
 
 if TYPE_CHECKING:
     from rich.padding import Padding
@@ -352,6 +352,9 @@ def _end_rows(state: State, motion: bool, most: float = 0.0) -> list[tuple[str, 
             rows.append(
                 (f"displacement of {column.removeprefix(head)}", state.unit.length(value, 5))
             )
+    if (strain := state.numbers.get("max_plastic_strain")) is not None:
+        share = state.numbers["yielded_share"]
+        rows.append(("yielded", f"{percent(share)} of the volume, plastic strain up to {strain:.3g}"))
     rows += _section_rows(state, largest)
     if state.stability is not None and state.stability.verdict == "unstable":
         rows.append(("stability", str(state.stability)))

@@ -25,14 +25,12 @@ from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.mesh.body import Body
 from dolfin_elastic.model.materials.growth import GrownLaw
 from dolfin_elastic.model.materials.memory import Memory
+from dolfin_elastic.model.materials.plasticity import PLASTIC_STRAIN
 from dolfin_elastic.model.materials.stepped import SteppedLaw
 from dolfin_elastic.problem.constraints.periodic.unit_cell import Cell
 from dolfin_elastic.problem.context import FormContext
 from dolfin_elastic.problem.material_regions import MaterialRegion
-from dolfin_elastic.problem.weak_form import WeakForm
-
-ROUND_OFF = 1e-12
-"""What a value may differ from its start by and count as unchanged."""
+from dolfin_elastic.problem.weak_form import ROUND_OFF, WeakForm
 
 
 class RegionHistory:
@@ -62,7 +60,8 @@ class RegionHistory:
             table = basix.ufl.element("DG", kind, order).tabulate(0, self.points)[0]
             if np.linalg.matrix_rank(table) == len(self.points):
                 break
-        self._to_nodes = np.linalg.pinv(table)
+        self._table = np.asarray(table).reshape(len(self.points), -1)
+        self._to_nodes = np.linalg.pinv(self._table)
         self._cells = region.cells
         self._spaces = {
             size: fem.functionspace(mesh, ("DG", order, (size,)))
@@ -138,6 +137,13 @@ class RegionHistory:
         followed = self.memory.follow(self.values, by_name, dt)
         self.values = {name: np.array(values) for name, values in followed.items()}
 
+    def largest(self, name: str) -> float:
+        """Largest value of a scalar at the points of this rank; 0 where there is none."""
+        if name not in self.values or not len(self._cells):
+            return 0.0
+        nodal = self.values[name].reshape(len(self._cells), -1)
+        return float((nodal @ self._table.T).max())
+
     def functions(self) -> dict[str, fem.Function]:
         """The variables as functions, 0 outside of the region: copies."""
         result = {}
@@ -195,6 +201,7 @@ class History:
         self._at_end: dict[str, CellExpression] = {}
         self._branches: list[Callable[[FloatArray], None]] = []
         self._lost: fem.Form | None = None
+        self._volumes: list[fem.Form] = []
         self._before: tuple[FloatArray, FloatArray] = (np.empty(0), np.empty(0))
 
     @property
@@ -282,6 +289,27 @@ class History:
             ]
         if not (lost := self._weak_form.lost).empty():
             self._lost = compile_forms(self._comm, [lost], jit)[0]
+
+    def results(self) -> dict[str, float]:
+        """Largest equivalent plastic strain, and share of the body that has yielded. Collective.
+
+        Of the committed state; nothing where no material yields.
+        """
+        if not self.yields or (yielded := self._weak_form.yielded).empty():
+            return {}
+        if not self._volumes:
+            whole = sum(
+                ufl.as_ufl(1.0) * self._weak_form.volume(region, self._weak_form.rule(region))
+                for region in self._context.regions
+            )
+            self._volumes = compile_forms(self._comm, [yielded, whole], options(self._comm))
+        local = np.array([fem.assemble_scalar(form) for form in self._volumes])
+        part, whole = total(self._comm, local)
+        most = max((p.largest(PLASTIC_STRAIN.name) for p in self._regions.values()), default=0.0)
+        return {
+            "max_plastic_strain": float(largest(self._comm, most)),
+            "yielded_share": float(part / whole),
+        }
 
     def _assembly(self, form: ufl.Form, compiled: fem.Form) -> Callable[[FloatArray], None]:
         """Adds the vector of a form, by loops of our own where they can. Collective."""

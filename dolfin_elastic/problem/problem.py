@@ -17,6 +17,7 @@ from dolfin_elastic.core import jit
 from dolfin_elastic.core.errors import InputError, all_errors, keyed, nearest
 from dolfin_elastic.core.help.notebook import Shown
 from dolfin_elastic.core.schema import Record
+from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.mesh.body import Body, cell_size, span
 from dolfin_elastic.model.amplitude import CONSTANT, PROPORTIONAL, Amplitude, Share
 from dolfin_elastic.model.axes import LocalAxes, PlacedAxes, check_name
@@ -467,6 +468,16 @@ def _history(problem: Problem) -> History | None:
 
     grows = bool(problem.eigenstrains)
     return History(problem.context, problem.weak_form, problem.cell, grows=grows)
+
+
+def results_of(problem: Problem, forces: FloatArray) -> dict[str, float]:
+    """Results of terms and of what has yielded, by name [SI units]. Collective.
+
+    Args:
+        forces: See `Term.add_results`.
+    """
+    history = {} if problem.history is None else problem.history.results()
+    return problem.terms.results(forces) | history
 
 
 def over_step(problem: Problem) -> Problem:

@@ -36,6 +36,8 @@ from dolfin_elastic.problem.material_regions import MaterialRegion
 from dolfin_elastic.problem.term import Term
 from dolfin_elastic.problem.term_list import forms_of
 
+ROUND_OFF = 1e-12
+"""What a value of history may differ from its start by and count as unchanged."""
 UNUSED = 1e-6
 """Compliance, times the shear modulus, of the pressure field in regions that do not need it."""
 
@@ -188,6 +190,15 @@ class WeakForm:
         for region, law, F in self._stepped():
             if (density := law.lost(F)) is not None:
                 form += density * self.volume(region, self.rule(region))
+        return form
+
+    @property
+    def yielded(self) -> ufl.Form:
+        """Volume of what has yielded [m^3]; may be empty."""
+        form = ufl.Form([])
+        for region, law, F in self._stepped():
+            if (strain := law.plastic_strain(F)) is not None:
+                form += flowed(strain) * self.volume(region, self.rule(region))
         return form
 
     def _stepped(self) -> Iterator[tuple[MaterialRegion, SteppedLaw, Expr]]:
@@ -363,6 +374,11 @@ class WeakForm:
         )
         mounted = [rho * ufl.inner(a, v) * ds for rho, ds, _ in self._context.masses()]
         return sum(mounted, body)
+
+
+def flowed(plastic_strain: Expr) -> Expr:
+    """1 where the plastic strain is above round-off, else 0."""
+    return ufl.conditional(ufl.gt(plastic_strain, ROUND_OFF), 1.0, 0.0)
 
 
 def derives_from_strain(law: Law) -> bool:

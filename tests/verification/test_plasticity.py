@@ -105,6 +105,8 @@ def test_a_bar_is_pulled_and_pressed(name: str, kinematic: float) -> None:
     for state in solver.steps():
         strain = float(np.interp(state.t, *np.transpose(ROUND)))
         assert axial(state) == pytest.approx(bar.stress(strain), rel=1e-11, abs=1e-11 * YIELD)
+        assert state.numbers["max_plastic_strain"] == pytest.approx(bar.a, rel=1e-10, abs=1e-15)
+        assert state.numbers["yielded_share"] == pytest.approx(float(bar.a > 0), abs=1e-12)
     assert bar.a > 0.01
 
 

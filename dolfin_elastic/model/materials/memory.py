@@ -79,6 +79,10 @@ class OverStep(ABC):
         """First Piola-Kirchhoff stress [Pa] whose work is stored or lost, nobody knows which."""
         return None
 
+    def plastic_strain(self, F: Expr) -> Expr | None:
+        """Equivalent plastic strain at the end of the step; None where nothing yields."""
+        return None
+
     def lost(self, F: Expr) -> Expr | None:
         """Dissipated since the beginning, per reference volume [J/m^3]; None: not known."""
         return None

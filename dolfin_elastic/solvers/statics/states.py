@@ -13,6 +13,7 @@ from dolfin_elastic.core.parallel import largest
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.mesh.body import extent
 from dolfin_elastic.model.amplitude import PROPORTIONAL
+from dolfin_elastic.problem.problem import results_of
 from dolfin_elastic.problem.state import State
 from dolfin_elastic.solvers import messages
 from dolfin_elastic.solvers.assembly.assembler import SupportForces
@@ -56,7 +57,7 @@ class StaticStates:
     def _numbers(self) -> dict[str, float]:
         """Results of terms and of a periodic cell by name [SI units]. Collective."""
         a = self._assembler
-        result = self._problem.terms.results(a.residual.owned[a.displacement_dofs])
+        result = results_of(self._problem, a.residual.owned[a.displacement_dofs])
         return result if a.cell is None else result | a.cell.numbers()
 
     def state(

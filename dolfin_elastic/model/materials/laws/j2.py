@@ -117,6 +117,10 @@ class SteppedJ2(SteppedSplitLaw):
         growth, tensor = self._return(F)
         return {TENSOR.name: tensor, **scalars_at_end(self.law, growth, self.past, self.step)}
 
+    def plastic_strain(self, F: Expr) -> Expr:
+        """See `OverStep`."""
+        return self.past[PLASTIC_STRAIN.name] + self._return(F)[0]
+
     def lost(self, F: Expr) -> Expr:
         """See `OverStep`."""
         return dissipated(self.law, self.at_end(F))

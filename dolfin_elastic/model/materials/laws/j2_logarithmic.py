@@ -127,6 +127,10 @@ class SteppedLogarithmic(SteppedSplitLaw):
             **scalars_at_end(self.law, found.growth, self.past, self.step),
         }
 
+    def plastic_strain(self, F: Expr) -> Expr:
+        """See `OverStep`."""
+        return self.past[PLASTIC_STRAIN.name] + self._trial(F)[3].growth
+
     def lost(self, F: Expr) -> Expr:
         """See `OverStep`."""
         scalars = scalars_at_end(self.law, self._trial(F)[3].growth, self.past, self.step)

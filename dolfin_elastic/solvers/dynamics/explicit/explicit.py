@@ -14,7 +14,7 @@ from mpi4py import MPI
 from dolfin_elastic.core.errors import StabilityError
 from dolfin_elastic.core.parallel import largest
 from dolfin_elastic.core.signals import raise_if_agreed, stop_agreed, watched
-from dolfin_elastic.problem.problem import Problem
+from dolfin_elastic.problem.problem import Problem, results_of
 from dolfin_elastic.problem.state import RestartState, SavedState, State, StateCopy, restoring
 from dolfin_elastic.solvers.assembly.assembler import Assembler, SupportForces
 from dolfin_elastic.solvers.assembly.energy_momentum import LumpedMass, lumped
@@ -286,7 +286,7 @@ class Explicit:
             moments=moments,
             momenta=momenta,
             max_displacement=self.assembler.max_displacement(),
-            numbers=self.problem.terms.results(a.residual.owned[a.displacement_dofs] + inertia),
+            numbers=results_of(self.problem, a.residual.owned[a.displacement_dofs] + inertia),
             done=scheme.t / self.end,
         )
 

@@ -15,7 +15,7 @@ from dolfin_elastic.core.errors import ConvergenceError
 from dolfin_elastic.core.petsc_options import PREFIX, PetscOptions, PetscValue
 from dolfin_elastic.core.signals import raise_if_agreed
 from dolfin_elastic.core.timing import stage
-from dolfin_elastic.problem.problem import Problem, conserves, over_step
+from dolfin_elastic.problem.problem import Problem, conserves, over_step, results_of
 from dolfin_elastic.problem.state import RestartState, SavedState, State, restoring
 from dolfin_elastic.problem.term_list import conserve_in_steps
 from dolfin_elastic.problem.weak_form import derives_from_strain
@@ -530,7 +530,7 @@ class Implicit:
             moments=moments,
             momenta=momenta,
             max_displacement=self.assembler.max_displacement(),
-            numbers=self.problem.terms.results(a.residual.owned[a.displacement_dofs]),
+            numbers=results_of(self.problem, a.residual.owned[a.displacement_dofs]),
             audit=audit,
             failure=audit.so_far[0] if audit and audit.verdict_so_far == "fail" else "",
             done=t / self.settings.end,
