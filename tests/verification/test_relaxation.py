@@ -482,6 +482,37 @@ def test_modes_are_those_of_a_sudden_load() -> None:
     assert frequencies(large(density=1)) == pytest.approx(frequencies(plain), rel=1e-10)
 
 
+def test_modes_of_long_term_constants() -> None:
+    """The branches of `VISCOUS` double the whole stress of a sudden load."""
+
+    def frequencies(law: Any, **keys: Any) -> np.ndarray:
+        body = box_body(size=(2, 1, 1), cells=(2, 1, 1))
+        problem = Problem(body, law, supports=[Support(on="left", displacement=[0, 0, 0])])
+        return np.array([mode.frequency for mode in Modal(problem, count=2, **keys).modes()])
+
+    law = viscous("neo-hookean", viscous_on="whole", density=1)
+    plain = frequencies(MATERIALS["neo-hookean"](mu=MU, nu=0.3, density=1))
+    assert frequencies(law) == pytest.approx(np.sqrt(2) * plain, rel=1e-9)
+    assert frequencies(law, stiffness="long-term") == pytest.approx(plain, rel=1e-9)
+
+
+def test_the_stable_step_is_that_of_a_sudden_load() -> None:
+    """Explicit motion takes sqrt(2) times as many steps as without branches that double all."""
+
+    def steps(law: Any) -> int:
+        body = box_body(size=(1, 1, 1), cells=(2, 2, 2))
+        held = Support(on="bottom", displacement=[0, 0, 0])
+        problem = Problem(body, law, supports=[held], degree=1)
+        motion = Dynamics(
+            problem, scheme="symplectic-euler", end=2, initial_velocity=["1e-3*z", 0, 0]
+        )
+        return list(motion.steps())[-1].step
+
+    plain = steps(MATERIALS["neo-hookean"](mu=MU, nu=0.3, density=1))
+    found = steps(viscous("neo-hookean", viscous_on="whole", density=1))
+    assert found / plain == pytest.approx(np.sqrt(2), rel=0.03)
+
+
 def test_a_preload_stores_what_a_sudden_load_does(caplog: pytest.LogCaptureFixture) -> None:
     """Its energy was that after a long time, and the audit told of a jump."""
     supports = [
