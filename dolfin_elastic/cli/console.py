@@ -353,8 +353,8 @@ def _end_rows(state: State, motion: bool, most: float = 0.0) -> list[tuple[str, 
                 (f"displacement of {column.removeprefix(head)}", state.unit.length(value, 5))
             )
     if (strain := state.numbers.get("max_plastic_strain")) is not None:
-        share = state.numbers["yielded_share"]
-        rows.append(("yielded", f"{percent(share)} of the volume, plastic strain up to {strain:.3g}"))
+        share = percent(state.numbers["yielded_fraction"])
+        rows.append(("yielded", f"{share} of the volume, plastic strain up to {strain:.3g}"))
     rows += _section_rows(state, largest)
     if state.stability is not None and state.stability.verdict == "unstable":
         rows.append(("stability", str(state.stability)))

@@ -30,7 +30,10 @@ from dolfin_elastic.model.materials.stepped import SteppedLaw
 from dolfin_elastic.problem.constraints.periodic.unit_cell import Cell
 from dolfin_elastic.problem.context import FormContext
 from dolfin_elastic.problem.material_regions import MaterialRegion
-from dolfin_elastic.problem.weak_form import ROUND_OFF, WeakForm
+from dolfin_elastic.problem.weak_form import WeakForm
+
+ROUND_OFF = 1e-12
+"""What a value may differ from its start by and count as unchanged."""
 
 
 class RegionHistory:
@@ -289,7 +292,7 @@ class History:
                     branches, compile_forms(self._comm, branches, jit), strict=True
                 )
             ]
-        if not (lost := self._weak_form.lost).empty():
+        if not (lost := self._weak_form.of_steps(lambda law, F: law.lost(F))).empty():
             self._lost = compile_forms(self._comm, [lost], jit)[0]
 
     def results(self) -> dict[str, float]:
@@ -297,7 +300,7 @@ class History:
 
         Of the committed state; nothing where no material yields.
         """
-        if not self.yields or (yielded := self._weak_form.yielded).empty():
+        if not self.yields or (yielded := self._weak_form.of_steps(_flowed)).empty():
             return {}
         if not self._volumes:
             whole = sum(
@@ -310,7 +313,7 @@ class History:
         most = max((p.largest(PLASTIC_STRAIN.name) for p in self._regions.values()), default=0.0)
         return {
             "max_plastic_strain": float(largest(self._comm, most)),
-            "yielded_share": float(part / whole),
+            "yielded_fraction": float(part / whole),
         }
 
     def _assembly(self, form: ufl.Form, compiled: fem.Form) -> Callable[[FloatArray], None]:
@@ -412,3 +415,9 @@ class History:
         for i, part in enumerate(self._regions.values()):
             part.take({v.name: fields[f"history {i + 1}.{v.name}"] for v in part.memory.variables})
         self._begin_at(saved["t"], saved["work"])
+
+
+def _flowed(law: SteppedLaw, F: Expr) -> Expr | None:
+    """1 where the plastic strain is above round-off, else 0; None where nothing yields."""
+    strain = law.plastic_strain(F)
+    return None if strain is None else ufl.conditional(ufl.gt(strain, ROUND_OFF), 1.0, 0.0)

@@ -8,7 +8,7 @@ Motion adds inertia to the same sum.  Source: Bonet & Wood (2008), (5.41).
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
@@ -36,8 +36,6 @@ from dolfin_elastic.problem.material_regions import MaterialRegion
 from dolfin_elastic.problem.term import Term
 from dolfin_elastic.problem.term_list import forms_of
 
-ROUND_OFF = 1e-12
-"""What a value of history may differ from its start by and count as unchanged."""
 UNUSED = 1e-6
 """Compliance, times the shear modulus, of the pressure field in regions that do not need it."""
 
@@ -183,22 +181,16 @@ class WeakForm:
                 form += ufl.inner(stress, dF) * self.volume(region, self.rule(region))
         return form
 
-    @property
-    def lost(self) -> ufl.Form:
-        """What the materials have dissipated since the beginning [J]; may be empty."""
-        form = ufl.Form([])
-        for region, law, F in self._stepped():
-            if (density := law.lost(F)) is not None:
-                form += density * self.volume(region, self.rule(region))
-        return form
+    def of_steps(self, density: Callable[[SteppedLaw, Expr], Expr | None]) -> ufl.Form:
+        """Integral of what laws over a step tell; may be empty.
 
-    @property
-    def yielded(self) -> ufl.Form:
-        """Volume of what has yielded [m^3]; may be empty."""
+        Args:
+            density: Of a law and F, per reference volume; None: that law tells nothing.
+        """
         form = ufl.Form([])
         for region, law, F in self._stepped():
-            if (strain := law.plastic_strain(F)) is not None:
-                form += flowed(strain) * self.volume(region, self.rule(region))
+            if (value := density(law, F)) is not None:
+                form += value * self.volume(region, self.rule(region))
         return form
 
     def _stepped(self) -> Iterator[tuple[MaterialRegion, SteppedLaw, Expr]]:
@@ -374,11 +366,6 @@ class WeakForm:
         )
         mounted = [rho * ufl.inner(a, v) * ds for rho, ds, _ in self._context.masses()]
         return sum(mounted, body)
-
-
-def flowed(plastic_strain: Expr) -> Expr:
-    """1 where the plastic strain is above round-off, else 0."""
-    return ufl.conditional(ufl.gt(plastic_strain, ROUND_OFF), 1.0, 0.0)
 
 
 def derives_from_strain(law: Law) -> bool:

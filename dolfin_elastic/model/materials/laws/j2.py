@@ -29,6 +29,7 @@ TENSOR = Variable("plastic_strain_tensor", "symmetric")
 class J2(Plastic):
     """Metal plasticity at small strains: von Mises' yield condition, associated flow.
 
+    psi = mu dev e:dev e + K/2 (tr e)^2 + kinematic/3 ep:ep, e = eps - ep the elastic strain.
     Hooke's law up to the yield stress.  Beyond it the plastic strain grows along the deviator of
     the stress, each step one of backward Euler in closed form.  For strains and rotations up to a
     few per cent.  Quadratic elements do not lock at full plasticity; linear ones do.

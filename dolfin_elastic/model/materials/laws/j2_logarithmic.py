@@ -35,11 +35,11 @@ ORDER = 9
 class J2Logarithmic(Plastic, Logarithmic):
     """Metal plasticity at large strains: von Mises' yield condition on the Kirchhoff stress.
 
-    F = Fe Fp; Hooke's law between the Kirchhoff stress and the logarithmic strain of Fe, as
-    `hencky`.  The elastic trial state of a step is F Fp^-1 with Fp of its start; the plastic strain
-    grows along the deviator of the trial stress by an exponential, which keeps the volume, each
-    step one of backward Euler in closed form.  For metal forming, necking and impact.  Quadratic
-    elements do not lock at full plasticity; linear ones do.
+    psi = mu sum_i (ln l_i)^2 + lmbda/2 (ln J)^2 of the stretches l_i of Fe, F = Fe Fp: `hencky`.
+    The elastic trial state of a step is F Fp^-1 with Fp of its start; the plastic strain grows
+    along the deviator of the trial stress by an exponential, which keeps the volume, each step one
+    of backward Euler in closed form.  For metal forming, necking and impact.  Quadratic elements
+    do not lock at full plasticity; linear ones do.
 
     Source: G. Weber and L. Anand, Comput. Methods Appl. Mech. Eng. 79 (1990) 173; J. C. Simo,
     Comput. Methods Appl. Mech. Eng. 99 (1992) 61.
