@@ -23,7 +23,6 @@ from dolfin_elastic.core.parallel import largest, total
 from dolfin_elastic.core.timing import stage
 from dolfin_elastic.core.types import FloatArray, IndexArray
 from dolfin_elastic.mesh.body import Body
-from dolfin_elastic.model.materials.growth import GrownLaw
 from dolfin_elastic.model.materials.memory import Memory
 from dolfin_elastic.model.materials.plasticity import PLASTIC_STRAIN
 from dolfin_elastic.model.materials.stepped import SteppedLaw
@@ -232,6 +231,11 @@ class History:
                 dt = step if fades or not self.long_term else 0.0
                 part.begin_step(dt, passes=self.passes or fades)
 
+    def choose(self, *, long_term: bool) -> None:
+        """Chooses the stiffness of what fades, see `long_term`. Local."""
+        self.long_term, self._step = long_term, None
+        self.set_time(self._now)
+
     def reset(self) -> None:
         """The body at rest: forgets all, and no time passes until `begin`. Local."""
         for part in self._regions.values():
@@ -240,7 +244,7 @@ class History:
 
     def changed(self) -> bool:
         """Whether a material remembers strains, however long they took. Collective."""
-        parts = [part for part in self._regions.values() if not part.memory.timed]
+        parts = [part for part in self._regions.values() if not part.memory.fades]
         return largest(self._comm, float(any(part.changed for part in parts))) > 0.0
 
     def forget(self) -> None:
@@ -273,13 +277,13 @@ class History:
         """Compiles what is evaluated at the end of a step, once. Collective."""
         if self._at_end:
             return
-        jit, w, F = options(self._comm), self._w, self._weak_form.F(self._w)
-        for region in self._context.regions:
-            if (part := self._regions.get(region.name)) is not None:
-                response = self._weak_form.response(region, w)
-                elastic = response.elastic(F) if isinstance(response, GrownLaw) else F
-                numbers = part.numbers_at_end(part.law, elastic)
-                self._at_end[region.name] = CellExpression(numbers, part.points, w, jit)
+        jit, w = options(self._comm), self._w
+        for region, law, F in self._weak_form.elastic_parts():
+            part = self._regions[region.name]
+            numbers = part.numbers_at_end(law, F)
+            self._at_end[region.name] = CellExpression(numbers, part.points, w, jit)
+        if not (lost := self._weak_form.of_steps(lambda law, F: law.lost(F))).empty():
+            self._lost = compile_forms(self._comm, [lost], jit)[0]
         if self._grows:
             return
         branches = [self._weak_form.branches()]
@@ -292,17 +296,16 @@ class History:
                     branches, compile_forms(self._comm, branches, jit), strict=True
                 )
             ]
-        if not (lost := self._weak_form.of_steps(lambda law, F: law.lost(F))).empty():
-            self._lost = compile_forms(self._comm, [lost], jit)[0]
 
     def results(self) -> dict[str, float]:
-        """Largest equivalent plastic strain, and share of the body that has yielded. Collective.
+        """Largest equivalent plastic strain, and fraction of the body that has yielded. Collective.
 
         Of the committed state; nothing where no material yields.
         """
-        if not self.yields or (yielded := self._weak_form.of_steps(_flowed)).empty():
+        if not any(PLASTIC_STRAIN in part.memory.variables for part in self._regions.values()):
             return {}
         if not self._volumes:
+            yielded = self._weak_form.of_steps(_flowed)
             whole = sum(
                 ufl.as_ufl(1.0) * self._weak_form.volume(region, self._weak_form.rule(region))
                 for region in self._context.regions

@@ -176,7 +176,7 @@ class WeakForm:
         if of_cell:
             v = ufl.TestFunction(self._unknowns.V)
             dF = gradient_variation(context.geometry, v, context.X, None)
-        for region, law, F in self._stepped():
+        for region, law, F in self.elastic_parts():
             if (stress := law.branch_stress(F)) is not None:
                 form += ufl.inner(stress, dF) * self.volume(region, self.rule(region))
         return form
@@ -188,16 +188,21 @@ class WeakForm:
             density: Of a law and F, per reference volume; None: that law tells nothing.
         """
         form = ufl.Form([])
-        for region, law, F in self._stepped():
+        for region, law, F in self.elastic_parts():
             if (value := density(law, F)) is not None:
-                form += value * self.volume(region, self.rule(region))
+                response = self.response(region, self._unknowns.w)
+                grown = response.volume if isinstance(response, GrownLaw) else 1.0
+                form += grown * value * self.volume(region, self.rule(region))
         return form
 
-    def _stepped(self) -> Iterator[tuple[MaterialRegion, SteppedLaw, Expr]]:
+    def elastic_parts(self) -> Iterator[tuple[MaterialRegion, SteppedLaw, Expr]]:
+        """Each region that remembers, its law over the step, and F without growth."""
         F = self.F(self._unknowns.w)
         for region in self._regions:
             if region.name in self.stepped:
-                yield region, self.stepped[region.name], F
+                response = self.response(region, self._unknowns.w)
+                elastic = response.elastic(F) if isinstance(response, GrownLaw) else F
+                yield region, self.stepped[region.name], elastic
 
     def _pressure_terms(self, region: MaterialRegion, F: Expr, q: Expr) -> ufl.Form:
         """The pressure's equation in a region.

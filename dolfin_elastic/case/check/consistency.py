@@ -580,7 +580,7 @@ def _notes(case: Case) -> Iterator[str]:
         memory = material.law.memory
         modes = case.modal or case.buckling
         chosen = modes is not None and "stiffness" in modes.model_fields_set
-        if memory is not None and memory.timed and case.gives_modes and not chosen:
+        if memory is not None and memory.fades and case.gives_modes and not chosen:
             yield (
                 f"materials.{key_text(name)}.viscous: nothing relaxes in [{case.analysis}]: the "
                 "stiffness is that of a sudden load"

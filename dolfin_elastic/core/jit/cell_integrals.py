@@ -169,6 +169,11 @@ class CellIntegrals:
         """The present values of its constants."""
         return pack_constants(self._form._cpp_object)
 
+    @property
+    def fields(self) -> list[Function_float64]:
+        """Its coefficients beside the unknowns."""
+        return [c for c in self._form._cpp_object.coefficients if c is not self._w._cpp_object]
+
     def add_to(self, out: FloatArray, constants: FloatArray | None = None) -> None:
         """Adds the vector of a form with a test function. Not collective.
 

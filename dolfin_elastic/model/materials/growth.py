@@ -40,18 +40,18 @@ class GrownLaw(ModifiedLaw):
         return deformation_from(H if self.law.linear else H * ufl.inv(self.growth))
 
     @property
-    def _volume(self) -> Expr:
+    def volume(self) -> Expr:
         """Jg, grown over reference volume; 1 to the order of small strains."""
         return 1 if self.law.linear else ufl.det(self.growth)
 
     def energy(self, F: Expr) -> Expr:
         """Energy per reference volume [J/m^3]."""
-        return self._volume * self.law.energy(self.elastic(F))
+        return self.volume * self.law.energy(self.elastic(F))
 
     def stress(self, F: Expr) -> Expr:
         """First Piola-Kirchhoff stress [Pa]."""
         P = self.law.stress(self.elastic(F))
-        return P if self.law.linear else self._volume * P * ufl.inv(self.growth).T
+        return P if self.law.linear else self.volume * P * ufl.inv(self.growth).T
 
     def strain(self, F: Expr) -> Expr:
         """That of the elastic part, without growth."""
@@ -60,4 +60,4 @@ class GrownLaw(ModifiedLaw):
     def gap(self, F: Expr) -> Expr:
         """Residual of the pressure's equation, see `Mixed.gap`."""
         assert isinstance(self.law, Mixed)
-        return self._volume * self.law.gap(self.elastic(F))
+        return self.volume * self.law.gap(self.elastic(F))

@@ -223,7 +223,9 @@ class Law(Branched):
 
     keys_beside: ClassVar[tuple[str, ...]] = ("on", "source", "material")
     linear: ClassVar[bool] = False
-    """Stress is linear in the displacement gradient."""
+    """It is for small strains: geometry counts as unchanged, and elastic stress is linear in it."""
+    follows_large: ClassVar[str] = "st-venant-kirchhoff or neo-hookean follow large ones"
+    """What to take in place of a law for small strains."""
     barrier: ClassVar[bool] = False
     """The energy grows without bound as J falls to 0, so an inverted state is never finite."""
     survives_inversion: ClassVar[bool] = False

@@ -33,10 +33,13 @@ from dolfin_elastic.core.units import Number, Quantity, SpatialValue, Stress, Vi
 from dolfin_elastic.model.materials.law import SplitLaw
 from dolfin_elastic.model.materials.memory import Variable
 from dolfin_elastic.model.materials.moduli import Isotropic
+from dolfin_elastic.model.materials.spatial import Range
 
-NEWTON = 5
+NEWTON = 6
 """Iterations for Voce's law: k is the first slope of the curve over 3 mu, below 0.1 for metals,
-where three are exact to round-off; five are so up to k = 1."""
+where three are exact to round-off; six are so up to k = 20."""
+STEEPEST = 20.0
+"""Largest k that is computed."""
 AT_ONCE = 1e30
 """1/dt [1/s] of a step without a length, in which nothing flows against a viscosity."""
 
@@ -158,14 +161,32 @@ class Plastic(Isotropic, SplitLaw):
                     expected="at least 0: softening has no answer that is the same on every mesh",
                 )
         elif isinstance(curve, HardeningCurve) and curve.saturation is not None:
-            first = self.yield_stress
-            if isinstance(first, float) and curve.saturation < first:
+            first, rate = self.yield_stress, curve.rate
+            if not isinstance(first, float) or not isinstance(self.mu, float) or rate is None:
+                raise InputError(
+                    "constants that vary in space beside a saturation",
+                    where="hardening",
+                    expected="a slope, or a material for each region",
+                )
+            steep = rate * (curve.saturation - first) / (3 * self.mu)
+            if steep > STEEPEST:
+                raise InputError(
+                    f"the yield stress rises {steep:.3g} times as fast as an elastic stress would",
+                    where="hardening.rate",
+                    expected=f"at most {STEEPEST:g} times: saturation and rate of a metal give 0.1",
+                )
+            if curve.saturation < first:
                 raise InputError(
                     "the yield stress would fall to its saturation",
                     where="hardening.saturation",
                     expected=f"at least the yield stress, {first:g} Pa",
                 )
         return self
+
+    @classmethod
+    def ranges(cls) -> dict[str, Range]:
+        """See `Law.ranges`."""
+        return {**super().ranges(), "hardening": Range(low=0.0, low_too=True)}
 
     @property
     def timed(self) -> bool:

@@ -48,6 +48,9 @@ class Forces:
         self._points = points
         self._cells, others = in_cells(problem, work)
         self._others = None if others is None else _Packed(problem, others)
+        moving = [field._cpp_object for fields in _moving(problem) for field in fields]
+        ours = [] if self._cells is None else self._cells.fields
+        self._fields = [field for field in ours if field not in moving]
         self._constants: FloatArray = np.empty(0)
         self._at_points: FloatArray = np.empty(0)
         self.renew()
@@ -74,6 +77,7 @@ class Forces:
         """
         digest = blake2b()
         values = [] if self._cells is None else [self._cells.constants]
+        values += [field.x.array for field in self._fields]
         if self._others is not None:
             values += self._others.given()
         if self._in_no_form:
@@ -103,16 +107,21 @@ class Forces:
         return self.owned
 
 
+def _moving(problem: Problem) -> tuple[Sequence[fem.Function], Sequence[fem.Function]]:
+    """Fields that follow the motion, and those that follow the time."""
+    formulas = problem.context.formulas
+    past = () if problem.history is None else problem.history.past
+    followed = (problem.u, problem.context.velocity, *problem.terms.past.values(), *past)
+    return followed, () if formulas is None else formulas.moving
+
+
 class _Packed:
     """A form with its coefficients and constants, as `Forces` says."""
 
     def __init__(self, problem: Problem, form: fem.Form) -> None:
         self._form = form
         self._packed = pack_coefficients(form._cpp_object)
-        formulas = problem.context.formulas
-        past = () if problem.history is None else problem.history.past
-        followed = (problem.u, problem.context.velocity, *problem.terms.past.values(), *past)
-        moving = followed, () if formulas is None else formulas.moving
+        moving = _moving(problem)
         self._reads, self._timed = (
             [read for field in fields for read in _reads(form, field, self._packed)]
             for fields in moving

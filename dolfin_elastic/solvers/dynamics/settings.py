@@ -277,19 +277,26 @@ def refuse_memory(settings: DynamicsSettings, *, timed: bool) -> None:
         timed: A material depends on how long a step takes.
 
     Raises:
-        InputError: The scheme is PETSc's own, or there is a strain at the start.
+        InputError: The scheme is PETSc's own, or the motion begins with a strain.
     """
-    if timed and (settings.preload or settings.start is not None):
+    if timed and settings.preload:
         raise InputError(
-            "materials that relax have no equilibrium before the time begins",
-            where=f"dynamics.{'preload' if settings.preload else 'start'}",
-            expected="leave it out: let the load grow slowly in the motion, or no `viscous`",
+            "materials that depend on time have no equilibrium before it begins",
+            where="dynamics.preload",
+            expected="leave it out: let the load grow slowly in the motion",
+        )
+    if settings.start is not None:
+        raise InputError(
+            "results do not hold what materials remember",
+            where="dynamics.start",
+            expected="leave it out: let the load grow slowly in the motion"
+            + ("" if timed else ", or preload = true"),
         )
     if settings.scheme == "alpha2":
         raise InputError(
             f"the scheme '{settings.scheme}' does not compute materials that remember",
             where="dynamics.scheme",
-            expected='"generalized-alpha", or no `viscous` and no plasticity',
+            expected='"generalized-alpha", or materials that remember nothing',
         )
 
 

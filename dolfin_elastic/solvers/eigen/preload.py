@@ -53,7 +53,7 @@ class PreloadedAnalysis(ABC):
     def _choose_stiffness(self) -> None:
         """Gives materials that relax the stiffness that is asked for, from here on. Local."""
         if self.problem.history is not None:
-            self.problem.history.long_term = self.settings.stiffness == "long-term"
+            self.problem.history.choose(long_term=self.settings.stiffness == "long-term")
 
     def _refuse_yielded(self) -> None:
         """Refuses a state in which a material has yielded. Collective.
@@ -106,6 +106,7 @@ class PreloadedAnalysis(ABC):
 
     def about_this_state(self) -> Generator[Mode, None, None]:
         """Yields the modes about the present state of the problem. Collective."""
+        self._choose_stiffness()
         return loop_together(self.problem.body.comm, self._about_this_state())
 
     @abstractmethod

@@ -370,7 +370,9 @@ class SmallStrains:
 
     def __init__(self, problem: Problem, watch: JacobianWatch | None = None) -> None:
         self.note, self._dim, self._unit = "", problem.body.dim, problem.body.unit
-        self._names = ", ".join(sorted({p.law.name() for p in problem.regions if p.law.linear}))
+        small = [part.law for part in problem.regions if part.law.linear]
+        self._names = ", ".join(sorted({law.name() for law in small}))
+        self._others = ", ".join(sorted({law.follows_large for law in small}))
         self._watch = (watch or JacobianWatch(problem)) if self._names else None
 
     def restore(self, note: str) -> None:
@@ -390,7 +392,6 @@ class SmallStrains:
             return
         self.note = (
             f"the law {self._names} is for small strains and rotations, but |grad u| is "
-            f"{steepest:.2g} at {self._unit.point(place[: self._dim])} ({when}): "
-            "st-venant-kirchhoff or neo-hookean follow large ones"
+            f"{steepest:.2g} at {self._unit.point(place[: self._dim])} ({when}): {self._others}"
         )
         log.warning("%s", self.note)

@@ -99,13 +99,13 @@ def refuse_memory(settings: StaticsSettings, *, timed: bool) -> None:
     """
     if timed and settings.method == "arc-length":
         raise InputError(
-            "a material relaxes in time, and along a path no time passes",
+            "a material depends on time, and along a path no time passes",
             where="statics.method",
             expected='"load", or an elastic material',
         )
     if timed and not {"steps", "max_step"} & settings.model_fields_set:
         raise InputError(
-            "a material relaxes in time, and the steps in time are not given",
+            "a material depends on time, and the steps in time are not given",
             where="statics.steps",
             expected="for example 100, or max_step; the load parameter is the time in seconds, up "
             "to statics.end",

@@ -40,6 +40,7 @@ class J2(Plastic):
     law: Literal["j2"] = "j2"
     linear: ClassVar[bool] = True
     frame_indifferent: ClassVar[bool] = False
+    follows_large: ClassVar[str] = "j2-logarithmic follows large ones"
     example: ClassVar[Mapping[str, object]] = {
         "E": "210 GPa",
         "nu": 0.3,

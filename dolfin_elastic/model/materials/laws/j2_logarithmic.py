@@ -108,6 +108,12 @@ class SteppedLogarithmic(SteppedSplitLaw):
         """Share of the trial stress that is left, 1 - 3 mu growth/q."""
         return 1 - 3 * self.law.mu * self._trial(F)[3].share
 
+    def strain(self, F: Expr) -> Expr:
+        """The logarithmic strain of Fe, which Fe^T P of it gives."""
+        Fe, P = self._trial(F)[:2]
+        shape = self._left(F) * ufl.sym(Fe.T * P) / (2 * self.law.mu)
+        return shape + self.volume_strain(F) / 3 * ufl.Identity(3)
+
     def shape_stress(self, F: Expr) -> Expr:
         """See `SteppedSplitLaw`: tau F^-T."""
         return self._left(F) * self._trial(F)[1] * self.past[INVERSE.name].T
