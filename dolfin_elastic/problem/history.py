@@ -356,11 +356,12 @@ class History:
     def spent(self) -> dict[str, float]:
         """What the stored energy does not contain, by account [J]. Collective.
 
-        "relaxing": see `work`; "dissipated": what has become heat since the beginning.
+        "relaxing": see `work`, of a user's history, too; "dissipated": what has become heat since
+        the beginning.
         """
         self._compile()
         result = {}
-        if self.timed and self.passes:
+        if (self.timed or self._branches) and self.passes:
             result["relaxing"] = self.work()
         if self._lost is not None:
             result["dissipated"] = total(self._comm, float(fem.assemble_scalar(self._lost)))

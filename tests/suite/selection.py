@@ -215,6 +215,7 @@ SHARED = {
     "solvers/statics/test_statics.py",
     "verification/test_patch.py",
     "verification/test_rank_agreement.py",
+    "verification/test_own_history.py",
     "verification/test_plasticity.py",
     "verification/test_relaxation.py",
     "verification/test_tetrahedron.py",

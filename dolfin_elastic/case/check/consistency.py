@@ -580,9 +580,11 @@ def _notes(case: Case) -> Iterator[str]:
         memory = material.law.memory
         modes = case.modal or case.buckling
         chosen = modes is not None and "stiffness" in modes.model_fields_set
-        if memory is not None and memory.fades and case.gives_modes and not chosen:
+        relaxes = memory is not None and memory.timed and not isinstance(material.law, Plastic)
+        if relaxes and case.gives_modes and not chosen:
+            key = "viscous" if material.law.viscous else "history"
             yield (
-                f"materials.{key_text(name)}.viscous: nothing relaxes in [{case.analysis}]: the "
+                f"materials.{key_text(name)}.{key}: nothing relaxes in [{case.analysis}]: the "
                 "stiffness is that of a sudden load"
             )
     yield from step_notes(case)

@@ -9,6 +9,7 @@ from dolfin_elastic.case.toml import key_text
 from dolfin_elastic.core.si_text import given, percent, quantity
 from dolfin_elastic.model.materials.law import Law
 from dolfin_elastic.model.materials.spatial import units_of
+from dolfin_elastic.model.point.checks import changes_at_rest
 from dolfin_elastic.model.strength import Strength
 
 
@@ -26,7 +27,13 @@ def stability_notes(case: Case) -> Iterator[str]:
 
 def material_information(case: Case) -> tuple[str, ...]:
     """Up to which stretches laws are stable whatever their constants, digits lost, what relaxes."""
-    return (*_stable_ranges(case), *_rounded(case), *_relaxing(case))
+    return (*_stable_ranges(case), *_rounded(case), *_relaxing(case), *_ageing(case))
+
+
+def _ageing(case: Case) -> Iterator[str]:
+    for name, material in case.materials.items():
+        if change := changes_at_rest(material.law):
+            yield f"materials.{key_text(name)}.next: {change}"
 
 
 def _relaxing(case: Case) -> Iterator[str]:

@@ -331,7 +331,12 @@ class Law(Branched):
     @property
     def memory(self) -> Memory | None:
         """What it remembers, where its stress depends on what has been before; else None."""
-        return self.branches() if self.viscous else None
+        return self.branches() if self.viscous else self.own_memory
+
+    @property
+    def own_memory(self) -> Memory | None:
+        """What it remembers beside `viscous`; None: nothing."""
+        return None
 
     def branches(self) -> Memory:
         """What `viscous` remembers."""

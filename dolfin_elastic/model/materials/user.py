@@ -5,10 +5,10 @@ from __future__ import annotations
 import inspect
 from abc import abstractmethod
 from collections.abc import Callable, Collection, Mapping
-from typing import Any, ClassVar, Self, cast
+from typing import Any, ClassVar, Self, TypeVar, cast
 
 from pydantic import Field, PrivateAttr, field_serializer, field_validator, model_validator
-from ufl import Coefficient, replace
+from ufl import Coefficient, as_ufl, replace
 from ufl.algorithms import extract_coefficients
 from ufl.core.expr import Expr
 
@@ -18,13 +18,16 @@ from dolfin_elastic.core.formula_functions import CONSTANTS, FUNCTIONS
 from dolfin_elastic.core.schema import quoted
 from dolfin_elastic.core.units import SpatialValue, Stress, to_base
 from dolfin_elastic.model.kinematics import gradient_symbol
-from dolfin_elastic.model.materials import spatial, user_names
+from dolfin_elastic.model.materials import spatial
 from dolfin_elastic.model.materials.isochoric import Volumetric
 from dolfin_elastic.model.materials.spatial import Direction
-from dolfin_elastic.model.materials.viscous import Viscous
+from dolfin_elastic.model.materials.written import names as user_names
+from dolfin_elastic.model.materials.written.history import DT, Remembering, check_next
+
+T = TypeVar("T")
 
 
-class UserEnergy(Viscous):
+class UserEnergy(Remembering):
     """Base of energies that users write: parameters and fibres, which are constants of the forms.
 
     Attributes:
@@ -112,7 +115,8 @@ class UserEnergy(Viscous):
         return self.written_energy(F)
 
     def _values(self, F: Expr, wanted: Collection[str]) -> dict[str, Expr]:
-        return user_names.values(F, wanted, fibre=self.fibre, fibre2=self.fibre2)
+        of_F = user_names.values(F, wanted, fibre=self.fibre, fibre2=self.fibre2)
+        return of_F | self.past_values(wanted)
 
 
 class UserVolumetric(Volumetric):
@@ -150,21 +154,48 @@ class FormulaEnergy(UserEnergy):
 
     Attributes:
         formula: Energy per reference volume [J/m^3]; the key is `energy`.
+        next: Name of history to a formula of its value at the end of a time step.
     """
 
     formula: str = Field(validation_alias="energy", serialization_alias="energy")
+    next: dict[str, str] = Field(default={})
+
+    @model_validator(mode="after")
+    def _follows(self) -> Self:
+        for name, variable in self.history.items():
+            if variable.shape != "scalar":
+                raise InputError(
+                    "a tensor, and formulas are of scalars",
+                    where=f"history.{name}",
+                    expected="a number for each component; or Energy in Python, which has tensors",
+                )
+        if self.history and not self.next:
+            raise InputError(
+                "a history without `next`",
+                where="next",
+                expected=f'{{{", ".join(self.history)} = "..."}}, values at the end of a step',
+            )
+        if self.next and not self.history:
+            raise InputError(
+                "`next` without a history",
+                where="history",
+                expected=f"{{{', '.join(self.next)} = 0}}, values in the body at rest",
+            )
+        check_next(self.history, self.next)
+        return self
 
     @model_validator(mode="after")
     def _understood(self) -> Self:
         read = self.parsed
+        names = read.names.union(*(formula.names for formula in self.parsed_next.values()))
         for name in self.parameters:
-            if name not in read.names:
+            if name not in names:
                 raise InputError(
                     "the energy does not use this parameter",
                     where=f"parameters.{name}",
-                    expected=f"it uses {', '.join(sorted(read.names)) or 'no name at all'}",
+                    expected=f"it uses {', '.join(sorted(names)) or 'no name at all'}",
                 )
-        if not read.names - set(self.parameters):
+        if not self._of_F:
             raise InputError(
                 "the energy does not depend on the deformation",
                 where="energy",
@@ -175,14 +206,14 @@ class FormulaEnergy(UserEnergy):
     @property
     def rounds(self) -> bool:
         """See `Law.rounds`."""
-        return any(not name.startswith("E") for name in self.parsed.names - set(self.parameters))
+        return any(not name.startswith("E") for name in self._of_F)
 
     @property
     def blind_to_inversion(self) -> bool:
         """See `Law.blind_to_inversion`."""
         if isinstance(self, UserVolumetric):  # a function of J
             return False
-        return self.parsed.names - set(self.parameters) <= user_names.OF_STRAIN
+        return self._of_F <= user_names.OF_STRAIN
 
     @property
     def parsed(self) -> Formula:
@@ -191,18 +222,31 @@ class FormulaEnergy(UserEnergy):
         Raises:
             FormulaError: With the column, a caret under the fault, and what would be right.
         """
+        return self._parsed(self.formula, "energy")
+
+    @property
+    def parsed_next(self) -> dict[str, Formula]:
+        """The parsed formulas of `next`, as `parsed` is."""
+        return {name: self._parsed(text, f"next.{name}") for name, text in self.next.items()}
+
+    def _parsed(self, text: str, where: str) -> Formula:
         fibres = {"fibre": self.fibre is not None, "fibre2": self.fibre2 is not None}
         names = user_names.known(**fibres)
-        for name in self.parameters:
-            _check_parameter(name, names)
+        _check_names(self.parameters, self.history, names)
         try:
-            return Formula.parse(self.formula, allowed=names | set(self.parameters))
+            return Formula.parse(text, allowed=names | set(self.parameters) | self.of_history)
         except FormulaError as error:
-            raise self._shorter_list(error).at("energy") from None
+            raise self._shorter_list(error).at(where) from None
+
+    @property
+    def _of_F(self) -> frozenset[str]:
+        """Names of the energy that are functions of the deformation."""
+        return self.parsed.names - set(self.parameters) - self.of_history
 
     def _known(self) -> str:
         fibres = {"fibre": self.fibre is not None, "fibre2": self.fibre2 is not None}
-        return ", ".join([*sorted(self.parameters), user_names.summary(**fibres)])
+        own = sorted({*self.parameters, *self.of_history})
+        return ", ".join([*own, user_names.summary(**fibres)])
 
     def _shorter_list(self, error: InputError) -> InputError:
         """The error with a short list of names in place of all forty."""
@@ -217,6 +261,19 @@ class FormulaEnergy(UserEnergy):
         read = self.parsed
         return read.ufl(**self._values(F, read.names), **self.parameters)
 
+    @property
+    def timed(self) -> bool:
+        """See `Remembering`."""
+        formulas = (self.parsed, *self.parsed_next.values())
+        return any(DT in formula.names for formula in formulas) if self.history else False
+
+    def next_values(self, F: Expr) -> dict[str, Expr]:
+        """See `Remembering`."""
+        return {
+            name: as_ufl(read.ufl(**self._values(F, read.names), **self.parameters))
+            for name, read in self.parsed_next.items()
+        }
+
 
 class SplitFormulaEnergy(UserVolumetric, FormulaEnergy):
     """A formula and a volumetric part."""
@@ -224,11 +281,20 @@ class SplitFormulaEnergy(UserVolumetric, FormulaEnergy):
     @property
     def isochoric_shape(self) -> bool:
         """See `Law`."""
-        return self.parsed.names - set(self.parameters) <= user_names.ISOCHORIC
+        return self._of_F <= user_names.ISOCHORIC
 
 
-def _check_parameter(name: str, taken: frozenset[str]) -> None:
-    where = f"parameters.{name}"
+def _check_names(
+    parameters: Collection[str], history: Collection[str], taken: frozenset[str]
+) -> None:
+    """Checks that parameters and history have names of their own."""
+    for name in parameters:
+        _check_name(name, taken | {*history, DT} if history else taken, f"parameters.{name}")
+    for name in history:
+        _check_name(name, taken | {DT}, f"history.{name}")
+
+
+def _check_name(name: str, taken: frozenset[str], where: str) -> None:
     if not (name.isascii() and name.isidentifier()):
         raise InputError(
             f"{quoted(name)} cannot be a name", where=where, expected="letters, digits and _"
@@ -278,9 +344,11 @@ class Energy(UserEnergy):
 
     Attributes:
         function: Energy per reference volume [J/m^3] as a UFL expression.
+        next: Of what is remembered, `history`, the values at the end of a time step by name.
     """
 
     function: Callable[..., Expr]
+    next: Callable[..., Mapping[str, Expr]] | None = None
 
     _in_place: Mapping[Coefficient, Expr] = PrivateAttr(default={})
 
@@ -296,10 +364,20 @@ class Energy(UserEnergy):
         "prony",
         "fibre",
         "fibre2",
+        "history",
+        "next",
     )
 
     def __init__(self, function: Callable[..., Expr], **given: Any) -> None:
         keys = {key: given.pop(key) for key in self.own_keys if key in given}
+        for key, other in (("history", "next"), ("next", "history")):
+            if keys.get(key) is not None and keys.get(other) is None:
+                raise InputError(
+                    f"`{key}` without `{other}`",
+                    where=other,
+                    expected='history={"h": 0.0, "Cv": np.eye(3)}, and next=lambda F, h, Cv, dt: '
+                    '{"h": ..., "Cv": ...}',
+                )
         super().__init__(
             function=function, parameters=_parameter_values(function, given, keys), **keys
         )
@@ -309,8 +387,11 @@ class Energy(UserEnergy):
         if self._in_place:
             return {}
         numbers = dict.fromkeys(super().spatial_constants(), 1.0)
-        psi = UserEnergy.with_values(self, numbers).energy(gradient_symbol())
-        return {f"used.{i}": f for i, f in enumerate(extract_coefficients(psi))}
+        law, F = UserEnergy.with_values(self, numbers), gradient_symbol()
+        used = dict.fromkeys(extract_coefficients(law.energy(F)))
+        for value in law.next_values(F).values():
+            used |= dict.fromkeys(extract_coefficients(value))
+        return {f"used.{i}": f for i, f in enumerate(used)}
 
     def spatial_constants(self) -> dict[str, SpatialValue]:
         """See `Law.spatial_constants`; functions that the energy uses have a dot in their names."""
@@ -326,9 +407,7 @@ class Energy(UserEnergy):
 
     def written_energy(self, F: Expr) -> Expr:
         """The function's value [J/m^3], a UFL scalar."""
-        arguments = inspect.signature(self.function).parameters
-        values = self._values(F, [name for name in arguments if name not in self.parameters])
-        result = self.function(**values, **self.parameters)
+        result = self._called(self.function, F)
         if self._in_place and isinstance(result, Expr):
             result = replace(result, dict(self._in_place))
         if not isinstance(result, Expr) or result.ufl_shape:
@@ -337,6 +416,47 @@ class Energy(UserEnergy):
                 expected="expected a UFL expression, for example mu/2*(ufl.tr(F.T*F) - 3)",
             )
         return result
+
+    def _called(self, function: Callable[..., T], F: Expr) -> T:
+        """What a function of the user returns, with all that its arguments name."""
+        wanted = inspect.signature(function).parameters
+        values = {name: value for name, value in self.parameters.items() if name in wanted}
+        return function(**self._values(F, wanted.keys() - values.keys()), **values)
+
+    @property
+    def timed(self) -> bool:
+        """See `Remembering`."""
+        return bool(self.history) and any(
+            DT in inspect.signature(f).parameters for f in (self.function, self.next) if f
+        )
+
+    def next_values(self, F: Expr) -> dict[str, Expr]:
+        """See `Remembering`.
+
+        Raises:
+            InputError: `next` returned no table of the names of history, or a value of another
+                shape.
+        """
+        if self.next is None:
+            return {}
+        table = self._called(self.next, F)
+        if not isinstance(table, Mapping):
+            raise InputError(
+                "the function returned no table of values",
+                where="next",
+                expected=f"{{'{next(iter(self.history))}': ..., ...}}",
+            )
+        check_next(self.history, table)
+        values = {name: as_ufl(value) for name, value in table.items()}
+        for name, value in values.items():
+            wanted = () if self.history[name].shape == "scalar" else (3, 3)
+            if value.ufl_shape != wanted:
+                raise InputError(
+                    f"a value of shape {value.ufl_shape}",
+                    where=f"next.{name}",
+                    expected=f"shape {wanted}, that of its start in history",
+                )
+        return {name: replace(value, dict(self._in_place)) for name, value in values.items()}
 
 
 class SplitEnergy(UserVolumetric, Energy):
@@ -348,10 +468,15 @@ class SplitEnergy(UserVolumetric, Energy):
 def _parameter_values(
     function: Callable[..., Expr], given: dict[str, object], keys: Mapping[str, object]
 ) -> dict[str, object]:
-    """A value for each of the function's parameters."""
+    """A value for each parameter of the function, and of that of `next`."""
     fibres = {"fibre": "fibre" in keys, "fibre2": "fibre2" in keys}
     known = user_names.known(**fibres) | {*user_names.TENSORS}
-    arguments = inspect.signature(function).parameters
+    arguments = dict(inspect.signature(function).parameters)
+    following, history = keys.get("next"), keys.get("history")
+    if callable(following) and isinstance(history, Mapping):
+        arguments = {**inspect.signature(following).parameters, **arguments}
+        _check_names((), history, known)
+        known |= {*history, DT}
     wanted = [name for name in arguments if name not in known]
     defaults = {
         name: arguments[name].default

@@ -12,14 +12,18 @@ from functools import cached_property
 from typing import Literal, TypeAlias
 
 import numpy as np
+import ufl
+from ufl.algorithms import expand_derivatives
 
 from dolfin_elastic.core.errors import InputError, keyed
 from dolfin_elastic.core.si_text import percent, quantity
-from dolfin_elastic.core.types import AnyArray
+from dolfin_elastic.core.types import AnyArray, FloatArray
+from dolfin_elastic.model.kinematics import gradient_symbol
 from dolfin_elastic.model.materials.law import Law, SplitLaw
 from dolfin_elastic.model.materials.moduli import Isotropic
 from dolfin_elastic.model.materials.user import UserEnergy
-from dolfin_elastic.model.point.ufl_to_numpy import LawAtPoints
+from dolfin_elastic.model.materials.written.history import DT, Remembering, opaque
+from dolfin_elastic.model.point.ufl_to_numpy import LawAtPoints, NumpyProgram
 from dolfin_elastic.model.point.viscous_curves import viscous_curves
 
 I = np.eye(3)  # noqa: E741  of the textbooks
@@ -148,9 +152,16 @@ def finite(tested: LawUnderTest) -> Iterator[Finding]:
         bad: AnyArray = np.asarray(~np.isfinite(program(F).reshape(len(F), -1)).all(axis=1))
         if bad.any():
             place = "at rest" if bad[0] else "at strains of a few per cent"
+            place += _at_once(tested.given)
             yield _found("finite values", False, f"the {name} is not finite {place}")
             return
     yield _found("finite values", True, "energy, stress and stiffness near the rest")
+
+
+def _at_once(law: Law) -> str:
+    """That there is no time, where a history depends on it."""
+    timed = isinstance(law, Remembering) and law.timed
+    return ", with dt = 0 as in a sudden load: where(dt > 0, ..., ...)" if timed else ""
 
 
 _HINT_VOLUME = "add a term that grows with |J - 1|, or volumetric and K beside the energy"
@@ -296,6 +307,80 @@ def _differences(f: Evaluation, F: AnyArray, step: float) -> AnyArray:
     return np.asarray(rows.reshape(*rows.shape[:-1], 3, 3))
 
 
+# --- history ---
+
+_STEPS = (0.0, 1e-3, 1.0)
+"""Lengths of steps at which a history is checked [s]."""
+_TINY = 1e-12
+"""In place of the stiffness: of a history nobody knows the unit."""
+
+
+def _ends(law: Remembering, F: AnyArray, dt: float) -> FloatArray:
+    """A user's history at the end of the first step, shape (n, numbers)."""
+    symbol = gradient_symbol()
+    ends = law.with_past({DT: opaque(dt)}).ends(symbol)
+    return NumpyProgram(expand_derivatives(ends), symbol)(F)
+
+
+def changes_at_rest(law: Law) -> str:
+    """What of a user's history changes in a body at rest, in words; empty: nothing."""
+    if not isinstance(law, Remembering) or not law.history:
+        return ""
+    names = [name for name, v in law.history.items() for _ in range(v.size)]
+    start = np.concatenate([v.at_start for v in law.history.values()])
+    for dt in _STEPS if law.timed else _STEPS[:1]:
+        end = _ends(law, I[None], dt)[0]
+        off = np.abs(end - start) > ROUND_OFF * np.maximum(np.abs(start), 1.0)
+        if off.any():
+            i = int(np.argmax(off))
+            step = f", in a step of {quantity(dt, 's')}" if law.timed else ""
+            return f"{names[i]} changes at rest, from {start[i]:.6g} to {end[i]:.6g}{step}"
+    return ""
+
+
+def history(tested: LawUnderTest) -> Iterator[Finding]:
+    """A user's history after a step is finite, symmetric and the same in a turned body."""
+    law = tested.given
+    if not isinstance(law, Remembering) or not law.history:
+        return
+    steps = _STEPS if law.timed else _STEPS[:1]
+    for dt in steps:
+        if not np.isfinite(_ends(law, np.concatenate([I[None], tested.near]), dt)).all():
+            text = f"not finite at rest or at strains of a few per cent, with dt = {dt:g} s"
+            yield _found("finite history", False, text)
+            return
+    yield _found("finite history", True, "finite near the rest")
+    error = 0.0
+    for dt in steps:
+        F = tested.near
+        ends, turned = _ends(law, F, dt), _ends(law, tested.rotations[: len(F)] @ F, dt)
+        error = max(error, _relative(turned, ends, _TINY))
+    text = f"largest difference {error:.2g}"
+    good = error <= 1e3 * ROUND_OFF
+    if not good:
+        text += "; write next in C, E or invariants: turning the body must not change it"
+    yield _found("history frame indifference", good, text, error=error)
+    skew = _skew(law, tested.near)
+    yield _found("symmetric history", skew <= 1e3 * ROUND_OFF, f"asymmetry {skew:.2g}", error=skew)
+    if change := changes_at_rest(law):
+        yield _note("history at rest", change)
+    else:
+        yield _found("history at rest", True, "does not change")
+
+
+def _skew(law: Remembering, F: AnyArray) -> float:
+    """Largest asymmetry of the tensors at the end of a step, over their largest entry."""
+    symbol = gradient_symbol()
+    values = law.with_past({DT: opaque(1.0)}).next_values(symbol)
+    error = 0.0
+    for name, variable in law.history.items():
+        if variable.shape != "scalar":
+            program = NumpyProgram(expand_derivatives(ufl.as_ufl(values[name])), symbol)
+            end = program(F)
+            error = max(error, _relative(end, end.transpose(0, 2, 1), _TINY))
+    return error
+
+
 # --- small strains ---
 
 _VOIGT = ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))
@@ -378,7 +463,7 @@ def checks(tested: LawUnderTest) -> list[Finding]:
         return result
     for check in (stable, objectivity, material_symmetry, derivatives, symmetric_tangent):
         result += check(tested)
-    return [*result, *small_strain(tested), *relaxation(tested)]
+    return [*result, *small_strain(tested), *relaxation(tested), *history(tested)]
 
 
 _SHORT = (finite, rest_energy, rest_stress, objectivity, symmetric_tangent, stable)
@@ -400,4 +485,8 @@ def check_energy(law: Law) -> None:
         failure = next(failed, None)  # the later ones want finite values
     if failure is not None:
         raise InputError(f"{failure.check}: {failure.text}", where="energy")
+    with np.errstate(all="ignore"):
+        failure = next((f for f in history(tested) if f.verdict == "fail"), None)
+    if failure is not None:
+        raise InputError(f"{failure.check}: {failure.text}", where="next")
     law.mark_checked()

@@ -19,12 +19,11 @@ from dolfin_elastic.solvers.assembly.assembler import in_cells
 class Forces:
     """One virtual work as nodal forces in one vector, without allocating anything.
 
-    Cells whose forces depend on the displacement alone are those of the residual of statics.  Of
-    all other integrals, coefficients and constants are packed once.  What changes from step to
-    step, the displacement, what materials remember and the velocity that dashpots see, is read into
-    the packed arrays again;
-    numbers and formulas that change with time are taken over by `renew`, and what a program has
-    changed by `pack_again`.
+    Integrals over cells are those of the residual of statics, with present fields.  Of all others,
+    coefficients and constants are packed once.  What changes from step to step, the displacement,
+    what materials remember and the velocity that dashpots see, is read into the packed arrays
+    again; numbers and formulas that change with time are taken over by `renew`, and what a program
+    has changed by `pack_again`.
 
     Args:
         problem: Whose displacement; linear elements, no unknowns beside it.

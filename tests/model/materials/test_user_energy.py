@@ -32,10 +32,10 @@ from dolfin_elastic.case.case import Case
 from dolfin_elastic.case.check.consistency import check
 from dolfin_elastic.core.errors import FormulaError, InputError
 from dolfin_elastic.core.formula_functions import FUNCTIONS
-from dolfin_elastic.model.materials import user_names
 from dolfin_elastic.model.materials.isochoric import simo_taylor
 from dolfin_elastic.model.materials.law import SplitLaw
 from dolfin_elastic.model.materials.user import read_energy
+from dolfin_elastic.model.materials.written import names as user_names
 from dolfin_elastic.model.point.checks import check_energy
 from dolfin_elastic.model.point.ufl_to_numpy import LawAtPoints
 

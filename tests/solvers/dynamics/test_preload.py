@@ -120,7 +120,7 @@ def test_what_does_not_go_with_it() -> None:
     relaxing = case().to_dict()
     relaxing["materials"]["rubber"] |= {"law": "linear-elastic", "prony": [{"g": 0.2, "tau": 1.0}]}
     with pytest.raises(
-        InputError, match="dynamics.preload: materials that depend on time have no equil"
+        InputError, match="dynamics.preload: materials that depend on time"
     ):
         report(Case.from_dict(relaxing, file="case.toml"))
 

@@ -1,0 +1,1 @@
+"""What energies of users may use: names, and a history of their own."""

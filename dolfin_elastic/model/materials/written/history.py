@@ -1,0 +1,261 @@
+"""Memory that a user writes: what is remembered, and what a step makes of it, in closed form.
+
+The energy may use the names of history, which are values at the start of a step, and dt, its length
+[s].  `next` gives the values at its end, of F, of those at its start and of dt.  The stress is
+dpsi/dF with the history fixed, so that it has a potential and its tangent is symmetric.
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
+from functools import cache
+from typing import Self
+
+import numpy as np
+import ufl
+from pydantic import Field, PrivateAttr, field_serializer, field_validator, model_validator
+from ufl.core.expr import Expr
+
+from dolfin_elastic.core.errors import InputError, nearest
+from dolfin_elastic.core.schema import quoted
+from dolfin_elastic.model.materials.law import SplitLaw, once
+from dolfin_elastic.model.materials.memory import Memory, Variable
+from dolfin_elastic.model.materials.stepped import SteppedLaw, SteppedSplitLaw
+from dolfin_elastic.model.materials.viscous import Viscous
+
+DT = "dt"
+_STARTS = {"I": 1.0, "0": 0.0}
+"""Texts for tensors at the start."""
+
+
+@cache
+def opaque(value: float) -> Expr:
+    """A number as a UFL scalar that UFL does not compute with: dt = 0 may be a denominator.
+
+    Of `where(dt > 0, a/dt, b)` UFL would refuse a/0 before it has seen the condition.
+    """
+    return ufl.variable(ufl.as_ufl(value))
+
+
+@cache
+def _at_start(variable: Variable) -> Expr:
+    """A variable of the body at rest."""
+    if variable.shape == "scalar":
+        return opaque(variable.start)
+    return opaque(variable.start) * ufl.Identity(3)
+
+
+def _variable(name: str, start: object) -> Variable:
+    if isinstance(start, Variable):
+        return start
+    if isinstance(start, int | float) and not isinstance(start, bool) and np.isfinite(start):
+        return Variable(name, start=float(start))
+    if isinstance(start, str) and start in _STARTS:
+        return Variable(name, "symmetric", _STARTS[start])
+    if isinstance(start, np.ndarray | list) and np.shape(start) == (3, 3):
+        tensor = np.asarray(start)
+        if np.issubdtype(tensor.dtype, np.number) and np.array_equal(
+            tensor, tensor[0, 0] * np.eye(3)
+        ):
+            return Variable(name, "symmetric", float(tensor[0, 0]))
+    raise InputError(
+        f"{quoted(start)} is no start of a history",
+        where=name,
+        expected='a number; of a symmetric tensor "I", "0" or a multiple of the unit matrix',
+    )
+
+
+def check_next(history: Collection[str], given: Collection[str]) -> None:
+    """Checks the names of `next`.
+
+    Raises:
+        InputError: A name that is none of history, or a name of history that is missing.
+    """
+    for name in given:
+        if name not in history:
+            raise InputError(
+                f"there is no history '{name}'",
+                where=f"next.{name}",
+                expected=nearest(name, history),
+            )
+    for name in history:
+        if name not in given:
+            raise InputError(
+                f"nothing says what '{name}' is at the end of a step",
+                where="next",
+                expected=f"a value for {name}, too",
+            )
+
+
+class Remembering(Viscous):
+    """A law that may have a history of the user's own.
+
+    Attributes:
+        history: Name to value in the body at rest: what is remembered at each point. The energy and
+            `next` may use the names, which are values at the start of a time step, and dt [s].
+    """
+
+    history: dict[str, Variable] = Field(default={})
+
+    _past: Mapping[str, Expr] = PrivateAttr(default={})
+
+    @field_validator("history", mode="before")
+    @classmethod
+    def _starts(cls, table: object) -> dict[str, Variable]:
+        if not isinstance(table, Mapping) or not table:
+            raise InputError(f"{quoted(table)} is wrong", expected="expected {h = 0, ...}")
+        return {str(name): _variable(str(name), start) for name, start in table.items()}
+
+    @model_validator(mode="after")
+    def _remembers_one_thing(self) -> Self:
+        if self.history and self.viscous:
+            raise InputError(
+                "`viscous` beside a history of your own",
+                where="viscous",
+                expected="one of them; branches can be written into energy and next",
+            )
+        return self
+
+    @field_serializer("history")
+    def _starts_as_written(self, table: Mapping[str, Variable]) -> dict[str, object]:
+        texts = {start: text for text, start in _STARTS.items()}
+        return {
+            name: v.start
+            if v.shape == "scalar"
+            else texts.get(v.start, (v.start * np.eye(3)).tolist())
+            for name, v in table.items()
+        }
+
+    @property
+    def of_history(self) -> frozenset[str]:
+        """Names that the history adds to those of an energy."""
+        return frozenset({*self.history, DT}) if self.history else frozenset()
+
+    @property
+    def own_memory(self) -> Memory | None:
+        """See `Law`."""
+        return UserMemory(self) if self.history else None
+
+    @property
+    @abstractmethod
+    def timed(self) -> bool:
+        """Energy or `next` use dt."""
+
+    @abstractmethod
+    def next_values(self, F: Expr) -> dict[str, Expr]:
+        """The history at the end of a step, by name: UFL scalars, and tensors of shape (3, 3)."""
+
+    def with_past(self, past: Mapping[str, Expr]) -> Self:
+        """The law over a step, with other values than those of the body at rest and dt = 0.
+
+        Args:
+            past: Of names of history at the start of the step, and "dt".
+        """
+        result = self.model_copy()
+        result._past = past
+        return result
+
+    def past_values(self, wanted: Collection[str]) -> dict[str, Expr]:
+        """Values at the start of the step, of those names in `wanted` that are of history."""
+        at_rest = {DT: opaque(0.0)} if self.history else {}
+        at_rest |= {name: _at_start(v) for name, v in self.history.items()}
+        return {n: self._past.get(n, value) for n, value in at_rest.items() if n in wanted}
+
+    def ends(self, F: Expr) -> Expr:
+        """All numbers of `next_values`, as one UFL vector."""
+        found = self.next_values(F)
+        return ufl.as_vector([x for n, v in self.history.items() for x in v.numbers(found[n])])
+
+
+class UserMemory(Memory):
+    """What a user's law remembers."""
+
+    def __init__(self, law: Remembering) -> None:
+        self._law, self.timed = law, law.timed
+        self.variables = tuple(law.history.values())
+
+    def over_step(self, past: Mapping[str, Expr], step: Mapping[str, Expr]) -> SteppedLaw:
+        """See `Memory`."""
+        kind = SteppedUserSplit if isinstance(self._law, SplitLaw) else SteppedUser
+        return kind(self._law, past, step)
+
+    def step(self, dt: float, *, passes: bool) -> dict[str, float]:
+        """See `Memory`."""
+        starts = {f"start.{v.name}": v.start for v in self.variables}
+        return {DT: dt, **starts, f"start.{DT}": 0.0}
+
+
+@dataclass(frozen=True)
+class SteppedUser(SteppedLaw):
+    """A user's law over a time step.
+
+    Nobody knows how much of the work is stored: `energy` is that of a body without a past, and the
+    work of the rest of the stress, `branch_stress`, is stored or lost.
+    """
+
+    law: Remembering
+
+    @property
+    def _then(self) -> Remembering:
+        """The law over the step."""
+        return self.law.with_past({**self.past, DT: self.step[DT]})
+
+    @property
+    def _fresh(self) -> Remembering:
+        """The law without a past; in constants, for forms would divide by a number 0."""
+        past = {DT: self.step[f"start.{DT}"]}
+        for name, variable in self.law.history.items():
+            start = self.step[f"start.{name}"]
+            past[name] = start if variable.shape == "scalar" else start * ufl.Identity(3)
+        return self.law.with_past(past)
+
+    @once
+    def stress(self, F: Expr) -> Expr:
+        """See `SteppedLaw`."""
+        return self._then.stress(F)
+
+    def energy(self, F: Expr) -> Expr:
+        """See the class."""
+        return self._fresh.energy(F)
+
+    def branch_stress(self, F: Expr) -> Expr:
+        """See the class: what the past adds to the stress."""
+        return self.stress(F) - self._fresh.stress(F)
+
+    def at_end(self, F: Expr) -> dict[str, Expr]:
+        """See `OverStep`."""
+        return self._then.next_values(F)
+
+
+@dataclass(frozen=True)
+class SteppedUserSplit(SteppedUser, SteppedSplitLaw):
+    """The same with a volumetric part, which remembers nothing."""
+
+    @once
+    def shape_stress(self, F: Expr) -> Expr:
+        """See `SplitLaw`, over the step."""
+        then = self._then
+        assert isinstance(then, SplitLaw)
+        return then.shape_stress(F)
+
+    def shape_energy(self, F: Expr) -> Expr:
+        """See the class, without volumetric part."""
+        fresh = self._fresh
+        assert isinstance(fresh, SplitLaw)
+        return fresh.shape_energy(F)
+
+    def energy(self, F: Expr) -> Expr:
+        """See `SteppedSplitLaw`."""
+        return SteppedSplitLaw.energy(self, F)
+
+    def stress(self, F: Expr) -> Expr:
+        """See `SteppedSplitLaw`."""
+        return SteppedSplitLaw.stress(self, F)
+
+    def branch_stress(self, F: Expr) -> Expr:
+        """See `SteppedUser`."""
+        fresh = self._fresh
+        assert isinstance(fresh, SplitLaw)
+        return self.shape_stress(F) - fresh.shape_stress(F)
