@@ -356,13 +356,13 @@ class History:
     def spent(self) -> dict[str, float]:
         """What the stored energy does not contain, by account [J]. Collective.
 
-        "relaxing": see `work`, of a user's history, too; "dissipated": what has become heat since
-        the beginning.
+        "relaxing": see `work`; "remembered": the same where no material depends on time;
+        "dissipated": what has become heat since the beginning.
         """
         self._compile()
         result = {}
         if (self.timed or self._branches) and self.passes:
-            result["relaxing"] = self.work()
+            result["relaxing" if self.timed else "remembered"] = self.work()
         if self._lost is not None:
             result["dissipated"] = total(self._comm, float(fem.assemble_scalar(self._lost)))
         return result

@@ -24,6 +24,7 @@ from dolfin_elastic import (
     Statics,
     Support,
     box_body,
+    rectangle_body,
 )
 from dolfin_elastic.case.check.consistency import check
 from dolfin_elastic.case.check.materials import material_information
@@ -31,6 +32,7 @@ from dolfin_elastic.case.tables import Material
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.model.point.checks import LawUnderTest, check_energy, history
 from dolfin_elastic.problem.state import State
+from dolfin_elastic.solvers.eigen.modal import Modal
 
 FREE = "free"
 MU, LMBDA, RATIO, TAU = 3.0, 5.0, 0.6, 0.4
@@ -102,13 +104,14 @@ CONSTANTS = {"mu": MU, "lmbda": LMBDA}
 
 
 def written(**keys: Any) -> Energy:
+    keys = {**CONSTANTS, **keys}
     start = {"S0": "0", "h": np.zeros((3, 3))}
     more = {"history": start, "next": followed, "g": RATIO, "tau": TAU}
-    return Energy(relaxing, **CONSTANTS, **more, **keys)
+    return Energy(relaxing, **more, **keys)
 
 
 def built_in(**keys: Any) -> Energy:
-    return Energy(neo, **CONSTANTS, viscous=[{"ratio": RATIO, "time": TAU}], **keys)
+    return Energy(neo, viscous=[{"ratio": RATIO, "time": TAU}], **{**CONSTANTS, **keys})
 
 
 PAIRS = [(i, j) for i in range(3) for j in range(i, 3)]
@@ -151,6 +154,47 @@ def test_a_branch_is_that_of_viscous(name: str) -> None:
     for ours, theirs in zip(*twins, strict=True):
         assert reactions(ours) == pytest.approx(reactions(theirs), rel=1e-10, abs=1e-10 * size)
     assert "relaxing" in twins[0][-1].energies
+
+
+def drawn_out(law: Any, geometry: str) -> Problem:
+    """A square, or a bar of revolution about y, drawn out."""
+    supports = [
+        Support(on="left", displacement=[0, FREE]),
+        Support(on="bottom", displacement=[FREE, 0]),
+        Support(on="top", displacement=[0.1, 0.3], curve=THERE_AND_BACK),
+    ]
+    body = rectangle_body(size=(1, 1), cells=(2, 2))
+    return Problem(body, law, supports=supports, geometry=geometry)
+
+
+ELSEWHERE: dict[str, tuple[Any, Any]] = {
+    "quadratic": (held, {"degree": 2}),
+    "in space": (held, {"mu": f"{MU}*(1 + x)"}),
+    "plane stress": (drawn_out, {"geometry": "plane-stress"}),
+    "plane strain": (drawn_out, {"geometry": "plane-strain"}),
+    "axisymmetric": (drawn_out, {"geometry": "axisymmetric"}),
+}
+
+
+@pytest.mark.parametrize("name", ELSEWHERE)
+def test_a_branch_elsewhere(name: str) -> None:
+    """Unknowns beside the displacement, bodies in the plane, constants in space; 1e-10 as above."""
+    make, keys = ELSEWHERE[name]
+    mu = {"mu": keys.pop("mu")} if "mu" in keys else {}
+    last = []
+    for law in (written(**mu), built_in(**mu)):
+        *_, state = judged(Statics(make(law, **keys), steps=5, rtol=1e-13))
+        last.append(reactions(state))
+    assert last[0] == pytest.approx(last[1], rel=1e-10, abs=1e-10 * np.abs(last[1]).max())
+
+
+def test_modes_are_those_of_a_sudden_load() -> None:
+    """A mode after a preload has no past either."""
+    found = []
+    for law in (written(density=1.0), built_in(density=1.0)):
+        modes = Modal(held(law), count=2, preload=True).modes()
+        found.append([mode.frequency for mode in modes])
+    assert found[0] == pytest.approx(found[1], rel=1e-9)
 
 
 @pytest.mark.parametrize("scheme", ["generalized-alpha", "central-differences"])
@@ -212,6 +256,7 @@ def test_mullins_by_formula() -> None:
         softened += eta < 0.9
         largest = max(largest, W)
         expected = eta * MU * (stretch - 1 / stretch)
+        assert "remembered" in state.energies
         assert state.reactions["right"][0] == pytest.approx(expected, rel=1e-11, abs=1e-11)
     assert softened > 10
     assert cosh(largest / M) > 2

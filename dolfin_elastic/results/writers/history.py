@@ -39,7 +39,8 @@ class HistoryWriter:
       ``krylov`` iterations, ``max_displacement`` [m],
     * ``strain_energy`` [J] if the material has one; in motion ``kinetic_energy``,
       ``external_energy`` (work of the loads so far), ``total_energy``, and where there are such
-      ``relaxing_energy`` (a part of the strain energy), ``springs_energy``, ``contact_energy``,
+      ``relaxing_energy`` and
+      ``remembered_energy`` (parts of the strain energy), ``springs_energy``, ``contact_energy``,
       ``damping_energy`` and ``dashpots_energy`` (lost so far), ``friction_energy`` (the work
       against it), ``potential_energy`` (of dead loads), ``balance_energy`` (the energy error),
     * ``reaction_<support>_x``, ``_y``, ``_z`` [N] for each support,
