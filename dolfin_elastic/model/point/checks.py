@@ -362,10 +362,34 @@ def history(tested: LawUnderTest) -> Iterator[Finding]:
     yield _found("history frame indifference", good, text, error=error)
     skew = _skew(law, tested.near)
     yield _found("symmetric history", skew <= 1e3 * ROUND_OFF, f"asymmetry {skew:.2g}", error=skew)
+    yield from _after_a_step(tested, law)
     if change := changes_at_rest(law):
         yield _note("history at rest", change)
     else:
         yield _found("history at rest", True, "does not change")
+
+
+def _after_a_step(tested: LawUnderTest, law: Remembering) -> Iterator[Finding]:
+    """The stress of the second step, of a body that was strained, is finite and turns with it."""
+    numbers = iter(_ends(law, tested.near[:1], 1.0)[0].tolist())
+    past = {
+        name: v.value(ufl.as_vector([opaque(next(numbers)) for _ in range(v.size)]))
+        for name, v in law.history.items()
+    }
+    point = LawAtPoints(law.with_past({**past, DT: opaque(1.0)}))
+    F = tested.near
+    Q = tested.rotations[: len(F)]
+    P, turned = point.stress(F), point.stress(Q @ F)
+    if not np.isfinite(P).all():
+        yield _found("second step", False, "the stress after a step of 1 s is not finite")
+        return
+    error = _relative(turned, Q @ P, tested.scale)
+    good = error <= 1e3 * ROUND_OFF
+    text = f"finite, and turns with the body, to {error:.2g}"
+    if not good:
+        text = f"the stress does not turn with the body ({error:.2g}): write the energy in C, E or "
+        text += "invariants"
+    yield _found("second step", good, text, error=error)
 
 
 def _skew(law: Remembering, F: AnyArray) -> float:
@@ -488,5 +512,6 @@ def check_energy(law: Law) -> None:
     with np.errstate(all="ignore"):
         failure = next((f for f in history(tested) if f.verdict == "fail"), None)
     if failure is not None:
-        raise InputError(f"{failure.check}: {failure.text}", where="next")
+        where = "energy" if failure.check == "second step" else "next"
+        raise InputError(f"{failure.check}: {failure.text}", where=where)
     law.mark_checked()

@@ -119,9 +119,7 @@ def test_what_does_not_go_with_it() -> None:
         case(initial_displacement=[0, 0])
     relaxing = case().to_dict()
     relaxing["materials"]["rubber"] |= {"law": "linear-elastic", "prony": [{"g": 0.2, "tau": 1.0}]}
-    with pytest.raises(
-        InputError, match="dynamics.preload: materials that depend on time"
-    ):
+    with pytest.raises(InputError, match="dynamics.preload: materials that depend on time"):
         report(Case.from_dict(relaxing, file="case.toml"))
 
 
