@@ -23,6 +23,7 @@ CASES = sorted(DEMOS.glob("*/*.toml"))
 # They take longest: the other demos run the same paths in the quick set.
 LONG = {
     "bounce",
+    "brain",
     "bridge",
     "bunnies",
     "duck",
@@ -65,6 +66,7 @@ CHECKED = {  # what a script says last about its number
     "printed_part": r"difference from beam theory: \d\.\de-0[3-9]",
     "print_up": r"largest difference from beam theory: \d\.\de-0[2-9]",
     "duck_plane": r"resultant \d\.\de-1\d, moment \d\.\de-1\d",
+    "brain": r"small angles off the theory by \d\.\de-0[3-9] in the angle, \d\.\de-0[3-9] in",
     "bounce": r"energy out of balance: \d\.\de-0[4-9]",
     "tower": r"off the beam by (1\.\de-02|\d\.\de-03)",
     "turek_hron": r"largest difference over the amplitude: \d\.\de-(0[3-9])",
