@@ -3,7 +3,7 @@
 Half length 26.667 mm, radius R = 6.413 mm, tapered to 0.982 R in the middle, where the neck is to
 be; Voce's hardening; each half longer by 7 mm.
 
-Source: J. C. Simo and T. J. R. Hughes, Computational Inelasticity (1998), section 9.4.
+Source: J. C. Simo and T. J. R. Hughes, Computational Inelasticity (1998), chapter 9.
 """
 
 from __future__ import annotations
@@ -74,7 +74,7 @@ def pulled(along: int, across: int) -> np.ndarray:
 def test_a_bar_necks() -> None:
     """The largest force is Considere's, and the neck is the same on a finer mesh.
 
-    Measured: 77.24 kN on four meshes, to 1e-4; 0.8 % above the 76.63 kN of a long bar of the
+    Measured: 77.24 kN on three meshes, to 1e-4; 0.8 % above the 76.63 kN of a long bar of the
     section in the middle, which the thicker neighbours hold, and below the 79.5 kN of that at the
     ends.  The radius at 10 mm is 0.697 R and 0.695 R, with 5 and 10 elements across, at 14 mm
     0.387 R and 0.348 R: all of the strain is in ever fewer elements by then.
