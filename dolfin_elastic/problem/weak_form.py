@@ -190,9 +190,7 @@ class WeakForm:
         form = ufl.Form([])
         for region, law, F in self.elastic_parts():
             if (value := density(law, F)) is not None:
-                response = self.response(region, self._unknowns.w)
-                grown = response.volume if isinstance(response, GrownLaw) else 1.0
-                form += grown * value * self.volume(region, self.rule(region))
+                form += value * self.volume(region, self.rule(region))
         return form
 
     def elastic_parts(self) -> Iterator[tuple[MaterialRegion, SteppedLaw, Expr]]:

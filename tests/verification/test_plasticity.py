@@ -19,6 +19,7 @@ from dolfin_elastic import (
     J2,
     Case,
     Dynamics,
+    Growth,
     J2Logarithmic,
     Problem,
     Statics,
@@ -31,6 +32,7 @@ from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.model.materials.law import Law
 from dolfin_elastic.problem.state import State
 from dolfin_elastic.solvers.assembly.assembler import compiled, integral
+from dolfin_elastic.solvers.dynamics.settings import DynamicsSettings, refuse_memory
 
 E, NU, YIELD = 200e9, 0.3, 250e6
 FREE = "free"
@@ -281,6 +283,47 @@ def test_motion(scheme: str) -> None:
     assert axial(final) == pytest.approx(bar.stress(-0.006), rel=within)
 
 
+@pytest.mark.parametrize("kind", [J2, J2Logarithmic])
+def test_a_motion_begins_where_the_problem_is(kind: type[Law]) -> None:
+    """Displaced as statics has left it, and with the plastic strain of that."""
+    problem = pulled(kind(E=E, nu=NU, yield_stress=YIELD, density=1e-3), [[0, 0.006], [1, 0.006]])
+    *_, held = Statics(problem, steps=2, rtol=1e-12).steps()
+    first = next(iter(Dynamics(problem, end=1, dt=0.25).steps()))
+    assert first.numbers["max_plastic_strain"] == pytest.approx(
+        held.numbers["max_plastic_strain"], rel=1e-9
+    )
+    assert first.max_displacement == pytest.approx(held.max_displacement, rel=1e-12)
+    with pytest.raises(InputError, match="dynamics.start: results do not hold"):
+        refuse_memory(DynamicsSettings(end=1, dt=1, start={"file": "there"}), timed=False)
+
+
+@pytest.mark.parametrize("kind", [J2, J2Logarithmic])
+def test_growth_is_no_plastic_strain(kind: type[Law]) -> None:
+    """A body that grows freely does not yield; one that is held does, and the heat is told.
+
+    Uniaxial stress at a growth of 2 % against rollers on all sides but one direction.
+    """
+    law = kind(E=E, nu=NU, yield_stress=YIELD)
+    grown = [Growth(value=[1.02, 1.0, 1.0])]
+    rollers = [
+        Support(on=on, displacement=[0 if i == j else FREE for j in range(3)])
+        for i, on in enumerate(("left", "front", "bottom"))
+    ]
+    held = Support(on="right", displacement=[0, FREE, FREE])
+    body = box_body(size=(1, 1, 1), cells=(1, 1, 1))
+    *_, free = Statics(Problem(body, law, supports=rollers, loads=grown), steps=2).steps()
+    assert free.numbers["yielded_fraction"] == free.numbers["max_plastic_strain"] == 0.0
+    *_, stopped = Statics(
+        Problem(body, law, supports=[*rollers, held], loads=grown), steps=2
+    ).steps()
+    volume = 1.0 if kind is J2 else 1.02
+    assert stopped.numbers["yielded_fraction"] == pytest.approx(1.0, rel=1e-12)
+    strain = (0.02 if kind is J2 else np.log(1.02)) - YIELD / E
+    assert stopped.numbers["max_plastic_strain"] == pytest.approx(strain, rel=1e-6)
+    heat = volume * YIELD * strain
+    assert stopped.energies["dissipated"] == pytest.approx(heat, rel=1e-6)
+
+
 @pytest.mark.parametrize(
     ("keys", "text"),
     [
@@ -294,6 +337,8 @@ def test_motion(scheme: str) -> None:
         ({"hardening": [[0, 0], [0.1, 2e8]]}, "not positive"),
         ({"yield": YIELD, "hardening": {"saturation": 2e8, "rate": 10}}, "fall to its saturation"),
         ({"yield": YIELD, "hardening": {"saturation": 3e8}}, "both saturation and rate"),
+        ({"yield": YIELD, "hardening": {"saturation": 3e8, "rate": 2e5}}, "43.3 times as fast"),
+        ({"yield": "2e8+0*x", "hardening": {"saturation": 3e8, "rate": 2}}, "vary in space"),
         ({"yield": YIELD, "hardening": {"table": TABLE, "rate": 1}}, "table beside the constants"),
         ({"yield": YIELD, "plastic_viscosity": 0}, "plastic_viscosity"),
         ({"yield": YIELD, "viscous": [{"ratio": 0.1, "time": 1}]}, "viscous: .* cannot relax"),
@@ -330,3 +375,26 @@ def test_linear_elements_are_noted(degree: int) -> None:
     case = Case.from_dict(tomllib.loads(text))
     notes = check(case, case.read_body())
     assert any("linear elements lock" in note for note in notes) == (degree == 1)
+
+
+def test_a_formula_that_softens_is_refused() -> None:
+    """As a number is: on the mesh, where its values are known."""
+    law = J2(E=E, nu=NU, yield_stress=YIELD, hardening="-1e9 + 0*x")
+    with pytest.raises(InputError, match="hardening"):
+        pulled(law, [[0, 0], [1, 0.01]])
+
+
+def test_plane_stress_at_large_strains_is_refused() -> None:
+    body = rectangle_body(size=(1, 1), cells=(2, 1))
+    law = J2Logarithmic(E=E, nu=NU, yield_stress=YIELD)
+    with pytest.raises(InputError, match="mesh.geometry: the law 'j2-logarithmic'"):
+        Problem(body, law, geometry="plane-stress")
+
+
+def test_large_steps_of_a_bent_beam_are_no_jump() -> None:
+    """The audit allows for the path within a step, which backward Euler does not know."""
+    body = rectangle_body(size=(6, 1), cells=(12, 2))
+    law = J2Logarithmic(E=E, nu=NU, yield_stress=YIELD, hardening=1e9)
+    supports = [Support(on="left"), Support(on="right", displacement=[FREE, -1.5])]
+    states = list(Statics(Problem(body, law, supports=supports), steps=8).steps())
+    assert all(state.audit is None or not state.audit.reasons for state in states)

@@ -95,11 +95,13 @@ class Memory(ABC):
         variables: What is kept.
         timed: It depends on how long a step takes: no time passes in a preload.
         fades: In a body at rest all of it is forgotten after a long time.
+        plane_stress: It can be had with the stretch out of the plane as an unknown.
     """
 
     variables: tuple[Variable, ...]
     timed: bool = True
     fades: bool = False
+    plane_stress: bool = True
 
     @property
     def seen(self) -> tuple[Variable, ...]:

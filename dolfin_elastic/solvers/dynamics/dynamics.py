@@ -104,8 +104,6 @@ class Dynamics(Marching):
             )
         if self.problem.constraints.tied and not s.implicit:
             raise InputError(EXPLICIT_TIES, where="tie[0]", expected=IMPLICIT)
-        if saved is None and self.problem.history is not None:
-            self.problem.history.reset()
         if s.preload and saved is None:
             self._load()
         given = self.start() if self.start is not None and saved is None else None

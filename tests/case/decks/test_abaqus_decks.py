@@ -140,6 +140,11 @@ def test_stiffnesses_of_ortho(tmp_path: Path) -> None:
 LACKING = {
     "*PLASTIC, HARDENING=COMBINED\n200., 0.\n": "PLASTIC: HARDENING=COMBINED is not there",
     "*PLASTIC\n200., 0., 20.\n100., 0., 300.\n": "PLASTIC: constants that depend on the temper",
+    "*PLASTIC\n200., 0.\n*PLASTIC\n300., 0.\n": "PLASTIC: a second table",
+    "*PLASTIC, RATE=2.\n200., 0.\n": "PLASTIC: RATE is not there",
+    "*PLASTIC\n200., 0.1\n": "PLASTIC: its first row needs a yield stress above 0",
+    "*PLASTIC\n200., 0.\n100., 0.1\n": "PLASTIC: plastic strains must grow",
+    "*PLASTIC, HARDENING=KINEMATIC\n200., 0.\n300., 0.\n": "PLASTIC: plastic strains must grow",
     "*VISCOELASTIC, TIME=PRONY\n.1, 0., 1.\n": "VISCOELASTIC: state it as `viscous`",
     "*EXPANSION, TYPE=ORTHO\n1., 2., 3.\n": "EXPANSION: it is not the same everywhere",
     "*USER MATERIAL, CONSTANTS=1\n1.\n": "its subroutine cannot be read",

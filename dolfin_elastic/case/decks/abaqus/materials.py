@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from itertools import pairwise
 
 import numpy as np
 
@@ -97,7 +98,7 @@ def material_entry(deck: Deck, material: Material, use: Use) -> Entry:
     """The table of a material, without `on`; what it lacks is in `left_out`."""
     keys: dict[str, object] = {}
     remarks: list[str] = []
-    where, plastic = place(material.card), None
+    where, plastic = place(material.card), list[Card]()
     for card in material.cards:
         if card.word in ("ELASTIC", "HYPERELASTIC"):
             take = _elastic if card.word == "ELASTIC" else _hyperelastic
@@ -113,7 +114,7 @@ def material_entry(deck: Deck, material: Material, use: Use) -> Entry:
         elif card.word == "DAMPING":
             continue  # of the motion, see steps.py
         elif card.word == "PLASTIC":
-            plastic = card
+            plastic.append(card)
         elif card.word in OTHER_LAWS:
             deck.leave_out(place(card), OTHER_LAWS[card.word], "changes the answer")
         elif card.word in WITHOUT_EFFECT:
@@ -123,7 +124,7 @@ def material_entry(deck: Deck, material: Material, use: Use) -> Entry:
     if "law" not in keys:
         text = f"the material {material.name} has no *ELASTIC or *HYPERELASTIC"
         deck.leave_out(place(material.card), text, "changes the answer")
-    elif plastic is not None:
+    elif plastic:
         keys = _plastic(deck, plastic, keys, use)
     return Entry(where, keys, "; ".join(remarks))
 
@@ -177,22 +178,21 @@ def _elastic(deck: Deck, card: Card, use: Use, remarks: list[str]) -> dict[str, 
     return {}
 
 
-def _plastic(deck: Deck, card: Card, elastic: dict[str, object], use: Use) -> dict[str, object]:
+def _plastic(
+    deck: Deck, cards: list[Card], elastic: dict[str, object], use: Use
+) -> dict[str, object]:
     """The keys of an elastic material with those of its yield stress.
 
     Rows of the table are the yield stress and the plastic strain, beyond the last it is constant.
     """
+    card = cards[0]
+    for other in cards[1:]:
+        text = "a second table, as for another rate; the first one holds"
+        deck.leave_out(place(other), text, "changes the answer")
     kind = card.options.get("HARDENING", "ISOTROPIC").upper()
     rows = [[*floats(card, i), 0.0, 0.0][:3] for i in range(len(card.lines))]
     table = [(a, s) for s, a, temperature in rows if temperature == rows[0][2]]
-    why = ""
-    if "E" not in elastic or len(rows) == 0:
-        why = "beside another law than *ELASTIC, TYPE=ISO" if rows else "it has no table"
-    elif kind not in ("ISOTROPIC", "KINEMATIC") or (kind == "KINEMATIC" and len(table) > 2):
-        why = f"HARDENING={kind} is not there but for a straight line"
-    elif kind == "KINEMATIC" and use.large:
-        why = "a back stress at large strains (NLGEOM) is not there"
-    if why:
+    if why := _no_plastic(card, kind, table, elastic, use):
         deck.leave_out(place(card), why, "changes the answer")
         return elastic
     if len(table) < len(rows):
@@ -203,8 +203,30 @@ def _plastic(deck: Deck, card: Card, elastic: dict[str, object], use: Use) -> di
         return {**keys, "yield": stress(table[0][1])}
     if kind == "KINEMATIC":
         (a, low), (b, high) = table
-        return {**keys, "yield": stress(low), "kinematic": stress((high - low) / (b - a or 1.0))}
+        return {**keys, "yield": stress(low), "kinematic": stress((high - low) / (b - a))}
     return {**keys, "hardening": [[a, stress(s)] for a, s in table]}
+
+
+def _no_plastic(
+    card: Card,
+    kind: str,
+    table: list[tuple[float, float]],
+    elastic: dict[str, object],
+    use: Use,
+) -> str:
+    """Why a table of plastic strain and yield stress is no law here; empty: it is one."""
+    if others := sorted(set(card.options) - {"HARDENING"}):
+        return f"{', '.join(others)} is not there"
+    if not table or "E" not in elastic:
+        return "beside another law than *ELASTIC, TYPE=ISO" if table else "it has no table"
+    if kind not in ("ISOTROPIC", "KINEMATIC") or (kind == "KINEMATIC" and len(table) > 2):
+        return f"HARDENING={kind} is not there but for a straight line"
+    if kind == "KINEMATIC" and use.large:
+        return "a back stress at large strains (NLGEOM) is not there"
+    if table[0][0] != 0.0 or table[0][1] <= 0.0:
+        return "its first row needs a yield stress above 0 at a plastic strain of 0"
+    rises = all(b > a and high >= low for (a, low), (b, high) in pairwise(table))
+    return "" if rises else "plastic strains must grow from row to row, and stresses not fall"
 
 
 def _orthotropic(card: Card, kind: str, c: list[float]) -> dict[str, object]:

@@ -72,6 +72,8 @@ class J2Logarithmic(Plastic, Logarithmic):
 class _Memory(Memory):
     """The inverse of Fp, and the equivalent plastic strain."""
 
+    plane_stress = False  # its tangent takes a compiler longer than five minutes
+
     def __init__(self, law: J2Logarithmic) -> None:
         self._law, self.timed = law, law.timed
         viscous = (VISCOUS,) if law.timed else ()
