@@ -17,12 +17,14 @@ import ufl
 from dolfinx import fem
 from ufl.core.expr import Expr
 
+from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.jit import compile_forms, options
 from dolfin_elastic.core.jit.cell_integrals import CellExpression, CellIntegrals, can_be_packed
 from dolfin_elastic.core.parallel import largest, total
 from dolfin_elastic.core.timing import stage
 from dolfin_elastic.core.types import FloatArray, IndexArray
 from dolfin_elastic.mesh.body import Body
+from dolfin_elastic.model.materials.growth import grown_volume
 from dolfin_elastic.model.materials.memory import Memory
 from dolfin_elastic.model.materials.plasticity import PLASTIC_STRAIN
 from dolfin_elastic.model.materials.stepped import SteppedLaw
@@ -318,7 +320,11 @@ class History:
             return {}
         if not self._volumes:
             yielded = self._weak_form.of_steps(_flowed)
-            whole = self._weak_form.whole
+            whole = sum(
+                grown_volume(self._weak_form.response(region, self._w))
+                * self._weak_form.volume(region, self._weak_form.rule(region))
+                for region in self._context.regions
+            )
             self._volumes = compile_forms(self._comm, [yielded, whole], options(self._comm))
         local = np.array([fem.assemble_scalar(form) for form in self._volumes])
         part, whole = total(self._comm, local)

@@ -27,7 +27,7 @@ from dolfin_elastic.model.kinematics import (
     second_from_first,
 )
 from dolfin_elastic.model.loads import Load
-from dolfin_elastic.model.materials.growth import GrownLaw
+from dolfin_elastic.model.materials.growth import GrownLaw, grown_volume
 from dolfin_elastic.model.materials.law import Law, ModifiedLaw, SplitLaw
 from dolfin_elastic.model.materials.mixed import Mixed, variance
 from dolfin_elastic.model.materials.stepped import SteppedLaw
@@ -185,12 +185,13 @@ class WeakForm:
         """Integral of what laws over a step tell; may be empty.
 
         Args:
-            density: Of a law and F, per reference volume; None: that law tells nothing.
+            density: Of a law and F without growth, per grown volume; None: that law tells nothing.
         """
         form = ufl.Form([])
         for region, law, F in self.elastic_parts():
             if (value := density(law, F)) is not None:
-                form += value * self.volume(region, self.rule(region))
+                grown = grown_volume(self.response(region, self._unknowns.w))
+                form += grown * value * self.volume(region, self.rule(region))
         return form
 
     def elastic_parts(self) -> Iterator[tuple[MaterialRegion, SteppedLaw, Expr]]:

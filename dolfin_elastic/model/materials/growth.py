@@ -61,3 +61,8 @@ class GrownLaw(ModifiedLaw):
         """Residual of the pressure's equation, see `Mixed.gap`."""
         assert isinstance(self.law, Mixed)
         return self.volume * self.law.gap(self.elastic(F))
+
+
+def grown_volume(response: Law | ModifiedLaw) -> Expr:
+    """Grown over reference volume of a law with or without growth."""
+    return ufl.as_ufl(response.volume if isinstance(response, GrownLaw) else 1.0)
