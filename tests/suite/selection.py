@@ -231,11 +231,23 @@ ENDURING = ("fifty_periods", "test_second_order", "to_second_order")
 that wait for each other take minutes each: on one rank only; the steps are the same on several."""
 QUICK = 4
 """Parameters of each test in the quick set, unless it says so itself."""
-PLENTY = 12
-"""Parameters of each test on one rank in the rest: longer lists run whole by --all."""
+PLENTY = 10
+"""Parameters of each test on one rank in the rest, but of TEXTS: longer lists run whole by --all."""
+TEXTS = {
+    "case/reference/test_json_schema.py",
+    "case/test_case.py",
+    "core/files/test_links.py",
+    "core/test_help.py",
+    "mesh/test_abaqus.py",
+    "model/materials/test_library.py",
+    "model/materials/test_moduli.py",
+    "results/test_verdict.py",
+    "test_readme.py",
+}
+"""Tests of pages, messages and words, each of which takes milliseconds: all run in the rest."""
 MOST, MOST_OF_LAWS = 2, 1
 """Parameters of each test on several ranks, and of one of LAWS: longer lists are of laws, bodies
-and words, in which ranks take no part; all run on one rank, and on several by --all."""
+and words, in which ranks take no part; all run by --all."""
 
 
 def runs_on(file: str, ranks: int) -> bool:
@@ -314,7 +326,10 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         if not config.getoption("all"):
             mine = [item for item in mine if item.get_closest_marker("spare") is None]
             if ranks == 1:
-                mine = [item for group in _alike(mine) for item in _spread(group, PLENTY)]
+                groups = _alike(mine)
+                mine = [
+                    i for g in groups for i in (g if _file(g[0]) in TEXTS else _spread(g, PLENTY))
+                ]
             quick = set(map(id, _quick(mine, ranks)))
             rest = config.getoption("rest")
             mine = [item for item in mine if (id(item) in quick) != rest]
@@ -398,7 +413,9 @@ def _file(item: pytest.Item) -> str:
 
 def pytest_sessionstart() -> None:
     """A file that has moved is to be noticed here."""
-    if missing := [f for f in POINTS | LAWS | REFERENCES | SHARED if not (TESTS / f).exists()]:
+    if missing := [
+        f for f in POINTS | LAWS | REFERENCES | SHARED | TEXTS if not (TESTS / f).exists()
+    ]:
         raise pytest.UsageError(
             f"tests/suite/selection.py names files that are not there: {missing}"
         )
