@@ -232,7 +232,7 @@ that wait for each other take minutes each: on one rank only; the steps are the 
 QUICK = 4
 """Parameters of each test in the quick set, unless it says so itself."""
 PLENTY = 10
-"""Parameters of each test on one rank in the rest, but of TEXTS: longer lists run whole by --all."""
+"""Parameters of each test on one rank in the rest, except of TEXTS: all of them by --all."""
 TEXTS = {
     "case/reference/test_json_schema.py",
     "case/test_case.py",
@@ -326,10 +326,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         if not config.getoption("all"):
             mine = [item for item in mine if item.get_closest_marker("spare") is None]
             if ranks == 1:
-                groups = _alike(mine)
-                mine = [
-                    i for g in groups for i in (g if _file(g[0]) in TEXTS else _spread(g, PLENTY))
-                ]
+                mine = [item for group in _alike(mine) for item in _plenty(group)]
             quick = set(map(id, _quick(mine, ranks)))
             rest = config.getoption("rest")
             mine = [item for item in mine if (id(item) in quick) != rest]
@@ -400,6 +397,10 @@ def _spread(group: list[pytest.Item], most: int) -> list[pytest.Item]:
         taken.append(min(left, key=lambda i: sum(times[value] for value in values[i])))
         times.update(values[taken[-1]])
     return [group[i] for i in sorted(taken)]
+
+
+def _plenty(group: list[pytest.Item]) -> list[pytest.Item]:
+    return group if _file(group[0]) in TEXTS else _spread(group, PLENTY)
 
 
 def _values(item: pytest.Item) -> list[tuple[str, str]]:

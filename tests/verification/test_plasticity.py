@@ -5,6 +5,7 @@ Uniaxial stress needs one equation of the axial plastic strain, which is solved 
 
 from __future__ import annotations
 
+import re
 import tomllib
 from collections.abc import Callable
 from typing import Any
@@ -24,11 +25,12 @@ from dolfin_elastic import (
     Problem,
     Statics,
     Support,
+    Traction,
     box_body,
     rectangle_body,
 )
 from dolfin_elastic.case.check.consistency import check
-from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.core.errors import ConvergenceError, InputError
 from dolfin_elastic.model.materials.law import Law
 from dolfin_elastic.problem.state import State
 from dolfin_elastic.solvers.assembly.assembler import compiled, integral
@@ -397,3 +399,18 @@ def test_large_steps_of_a_bent_beam_are_no_jump() -> None:
     supports = [Support(on="left"), Support(on="right", displacement=[FREE, -1.5])]
     states = list(Statics(Problem(body, law, supports=supports), steps=8).steps())
     assert all(state.audit is None or not state.audit.reasons for state in states)
+
+
+def test_a_limit_load_is_told() -> None:
+    """A cantilever under twice the force of its plastic hinge: why it ends, and what to do."""
+    body = rectangle_body(size=(8, 1), cells=(16, 4))
+    down = Traction(on="right", value=[0, -2 * 2 / 3**0.5 * YIELD / 4 / 8])
+    problem = Problem(
+        body, J2(E=E, nu=NU, yield_stress=YIELD), supports=[Support(on="left")], loads=[down]
+    )
+    with pytest.raises(ConvergenceError, match="of the volume yields") as caught:
+        list(Statics(problem, steps=4).steps())
+    found = re.search(r"beyond load factor ([0-9.]+)", str(caught.value))
+    assert found
+    # Forces alone would make 0.5; the wall holds the corners, and elements across are four.
+    assert 0.5 < float(found[1]) < 0.6

@@ -26,6 +26,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dolfin_elastic.core.errors import BadCell, Diagnosis
+from dolfin_elastic.core.si_text import percent
 from dolfin_elastic.core.timing import stage
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.mesh.body import cell_size, span
@@ -169,7 +170,8 @@ class _CauseSearch:
         elif self._moving:
             advice = messages.in_motion(advice)
         place = place[: self.problem.body.dim]
-        return Diagnosis(cause, text + self._not_examined, advice, place, self.worst)
+        text += self._not_examined + self._yielded()
+        return Diagnosis(cause, text, advice, place, self.worst)
 
     # --- causes, in the order of the checks ---
 
@@ -393,6 +395,21 @@ class _CauseSearch:
             f"into balance{self._contact_changes}"
         )
         return self._make("stalled", text, messages.STALLED, where)
+
+    def _yielded(self) -> str:
+        """In words, how much of a metal yields: it may bear no more. Collective."""
+        if self.problem.history is None:
+            return ""
+        now, w = self.problem.w.x.array.copy(), self.problem.w.x.array
+        w[:] = self.good
+        part = self.problem.history.results().get("yielded_fraction", 0.0)
+        w[:] = now
+        if part == 0.0:
+            return ""
+        return (
+            f"; {percent(part)} of the volume yields at the last equilibrium, so that the body may "
+            "bear no more: displacements that are prescribed go on where forces end"
+        )
 
 
 def _falls(norms: Sequence[float]) -> bool:
