@@ -81,12 +81,15 @@ class WeakForm:
         self._loads, self._terms = loads, terms
         self._eigenstrains, self._quadrature_degree = eigenstrains, quadrature_degree
         self._responses: dict[str, Law | ModifiedLaw] = {}
+        self._last_F: tuple[Expr, Expr] | None = None
         self.start: StepStart | None = None
         self.stepped: dict[str, SteppedLaw] = {}
 
     def F(self, w: Expr) -> Expr:
-        """The 3x3 deformation gradient of a function of all unknowns."""
-        return self._context.deformation(w)
+        """The 3x3 deformation gradient of a function of all unknowns, one object of the last w."""
+        if self._last_F is None or self._last_F[0] is not w:
+            self._last_F = w, self._context.deformation(w)
+        return self._last_F[1]
 
     # --- integration ---
 

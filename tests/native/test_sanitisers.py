@@ -72,7 +72,8 @@ def of_cells(sizes: dict[str, int], lanes: int) -> Iterator[Call]:
         values = {"kernel": 1, "count": count, "every": count, "points": sizes["NG"]}
         values |= {"cells": RNG.permutation(count), "corners": shuffled(count, sizes["NG"])}
         values |= {"dofs": shuffled(count, sizes["NW"]), "entries": sizes["BS"] * sizes["NW"]}
-        values |= {"packed": sizes["BS"] * sizes["NW"], "first": 0, "known": 2, "size": 11}
+        values |= {"packed": sizes["BS"] * sizes["NW"], "first": 0, "others": 0}
+        values |= {"known": 2, "size": 11}
         for name in ("add_vector", "add_scalar", "evaluate"):
             yield name, values
 
@@ -93,6 +94,7 @@ def of_tangents(sizes: dict[str, int], lanes: int) -> Iterator[Call]:
         values |= {"nodes": first // sizes["STRIDE"], "start": start, "columns": columns}
         values |= {"places": np.repeat(first[:, None], first.shape[1], axis=1)}
         values |= {"fixed": RNG.integers(0, 2, entries)}
+        values |= {"packed": sizes["BS"] * sizes["NW"], "first": 0, "others": 0}
         upper = np.triu_indices(nodes)
         one, two = chosen[:, upper[0]], chosen[:, upper[1]]
         far_start, far_columns = full(1, nodes)

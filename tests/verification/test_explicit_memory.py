@@ -224,5 +224,5 @@ def test_check_permits(scheme: str) -> None:
 
 
 def test_a_preload_of_what_relaxes_is_refused() -> None:
-    with pytest.raises(InputError, match="no equilibrium before the time begins"):
+    with pytest.raises(InputError, match="no equilibrium before it begins"):
         swung(scheme="central-differences", preload=True)

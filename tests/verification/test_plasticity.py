@@ -8,6 +8,7 @@ from __future__ import annotations
 import re
 import tomllib
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -28,6 +29,7 @@ from dolfin_elastic import (
     Traction,
     box_body,
     rectangle_body,
+    run,
 )
 from dolfin_elastic.case.check.consistency import check
 from dolfin_elastic.core.errors import ConvergenceError, InputError
@@ -414,3 +416,38 @@ def test_a_limit_load_is_told() -> None:
     assert found
     # Forces alone would make 0.5; the wall holds the corners, and elements across are four.
     assert 0.5 < float(found[1]) < 0.6
+
+
+@pytest.mark.parametrize("law", ["j2", "j2-logarithmic"])
+def test_a_run_with_all_that_it_tells(law: str, tmp_path: Path, comm: MPI.Comm) -> None:
+    """Recovered stress and its error compile in seconds: all have one F, not equal ones."""
+    text = f"""
+        [mesh]
+        box = {{ size = [4, 1, 0.5], cells = [4, 1, 1] }}
+
+        [materials.steel]
+        law = "{law}"
+        E = {E}
+        nu = {NU}
+        yield = {YIELD}
+        hardening = 1e9
+        allowable = {YIELD}
+
+        [[support]]
+        on = "left"
+
+        [[support]]
+        on = "right"
+        displacement = ["free", 0, -0.1]
+
+        [statics]
+        steps = 2
+
+        [output]
+        fields = ["displacement", "von_mises", "plastic_strain"]
+        """
+    folder = comm.bcast(tmp_path / "results")
+    *_, state = run(Case.from_dict(tomllib.loads(text)), output=folder)
+    assert state.numbers["yielded_fraction"] > 0.1
+    assert state.audit is not None
+    assert state.audit.verdict == "pass"

@@ -9,7 +9,6 @@ from dolfin_elastic.case.toml import key_text
 from dolfin_elastic.core.si_text import given, percent, quantity
 from dolfin_elastic.model.materials.law import Law
 from dolfin_elastic.model.materials.spatial import units_of
-from dolfin_elastic.model.point.checks import changes_at_rest
 from dolfin_elastic.model.strength import Strength
 
 
@@ -31,8 +30,13 @@ def material_information(case: Case) -> tuple[str, ...]:
 
 
 def _ageing(case: Case) -> Iterator[str]:
-    for name, material in case.materials.items():
-        if change := changes_at_rest(material.law):
+    own = {name: m.law for name, m in case.materials.items() if m.law.memory and m.law.written}
+    if not own:
+        return
+    from dolfin_elastic.model.point.checks import changes_at_rest
+
+    for name, law in own.items():
+        if change := changes_at_rest(law):
             yield f"materials.{key_text(name)}.next: {change}"
 
 

@@ -194,6 +194,14 @@ class Plastic(Isotropic, SplitLaw):
         return self.plastic_viscosity is not None
 
     @property
+    def first_yield(self) -> float | None:
+        """Yield stress of the virgin material [Pa]; None where it varies in space."""
+        curve = self.hardening
+        if isinstance(curve, HardeningCurve) and curve.table:
+            return curve.table[0][1]
+        return self.yield_stress if isinstance(self.yield_stress, float) else None
+
+    @property
     def flow(self) -> Flow:
         """The yield stress as a function, and the root of the module."""
         curve = self.hardening

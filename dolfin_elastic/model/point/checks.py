@@ -21,6 +21,7 @@ from dolfin_elastic.core.types import AnyArray, FloatArray
 from dolfin_elastic.model.kinematics import gradient_symbol
 from dolfin_elastic.model.materials.law import Law, SplitLaw
 from dolfin_elastic.model.materials.moduli import Isotropic
+from dolfin_elastic.model.materials.plasticity import Plastic
 from dolfin_elastic.model.materials.user import UserEnergy
 from dolfin_elastic.model.materials.written.history import DT, Remembering, opaque
 from dolfin_elastic.model.point.ufl_to_numpy import LawAtPoints, NumpyProgram
@@ -474,6 +475,19 @@ def relaxation(tested: LawUnderTest) -> Iterator[Finding]:
     )
 
 
+def yielding(tested: LawUnderTest) -> Iterator[Finding]:
+    """Where a metal yields, beyond which the other tests are of the elastic law alone."""
+    law = tested.given
+    if not isinstance(law, Plastic) or law.first_yield is None or not isinstance(law.E, float):
+        return
+    strain = law.first_yield / law.E
+    text = (
+        f"in tension at {quantity(law.first_yield, 'Pa')}, a strain of {percent(strain)}; all "
+        "other tests and curves here are of the elastic law"
+    )
+    yield _note("yields", text, stress=law.first_yield, strain=strain)
+
+
 # --- lists of checks ---
 
 
@@ -487,7 +501,8 @@ def checks(tested: LawUnderTest) -> list[Finding]:
         return result
     for check in (stable, objectivity, material_symmetry, derivatives, symmetric_tangent):
         result += check(tested)
-    return [*result, *small_strain(tested), *relaxation(tested), *history(tested)]
+    others = (small_strain, yielding, relaxation, history)
+    return [*result, *(finding for check in others for finding in check(tested))]
 
 
 _SHORT = (finite, rest_energy, rest_stress, objectivity, symmetric_tangent, stable)
