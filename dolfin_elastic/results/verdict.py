@@ -76,7 +76,9 @@ def verdict_of(summary: Table) -> Verdict | None:
         else []
     ):
         return _of_buckling(rows) if rows[0].get("kind") == "buckling" else _of_modes(rows, summary)
-    return _of_load(_of_stress(summary), summary) if summary.get("steps") else None
+    if not summary.get("steps"):
+        return None
+    return _of_load(_of_yield(summary) or _of_stress(summary), summary)
 
 
 def _verdict(kind: Kind, text: str) -> Verdict:
@@ -162,6 +164,18 @@ def mode_text(row: Table, whole: Table) -> str:
 
 
 # --- stresses ---
+
+
+def _of_yield(summary: Table) -> Verdict | None:
+    """What has yielded: then a stress of the end says nothing of the way; None: nothing has."""
+    numbers = _table(summary, "numbers")
+    part = _number(numbers.get("yielded_fraction"))
+    strain = _number(numbers.get("max_plastic_strain"))
+    if not (part > 0 and strain > 0):
+        return None
+    text = f"{percent(part)} of the volume has yielded, plastic strain up to {percent(strain)}"
+    u = _number(summary.get("max_displacement"))
+    return _verdict("result", f"{text}; displacement at the end up to {quantity(u, 'm')}")
 
 
 def _of_stress(summary: Table) -> Verdict:

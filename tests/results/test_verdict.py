@@ -197,6 +197,23 @@ def test_verdict(content: dict[str, Any], text: str) -> None:
     assert found.kind == (kinds[0] if kinds else "result")
 
 
+def test_what_has_yielded_comes_first() -> None:
+    """A stress of the end, with the load off, says nothing of the way."""
+    numbers = {"yielded_fraction": 0.24, "max_plastic_strain": 0.0084}
+    content = of_safety(PEAK) | {"numbers": numbers, "max_displacement": 0.0019477}
+    found = verdict_of(content)
+    assert found is not None
+    assert found.kind == "result"
+    assert found.text == (
+        "24 % of the volume has yielded, plastic strain up to 0.84 %; displacement at the end up "
+        "to 1.948 mm"
+    )
+    nothing = {"yielded_fraction": 0.0, "max_plastic_strain": 0.0}
+    untouched = verdict_of(content | {"numbers": nothing})
+    assert untouched is not None
+    assert untouched.kind == "holds"
+
+
 @pytest.mark.parametrize(
     "key",
     [

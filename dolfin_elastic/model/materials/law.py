@@ -261,9 +261,7 @@ class Law(Branched):
 
     @model_validator(mode="after")
     def _can_relax(self) -> Self:
-        kind = type(self)
-        able = kind.memory is Law.memory and kind.branches is not Law.branches and self.has_energy
-        if self.viscous and not able:
+        if self.viscous and not self.may_relax:
             raise InputError(
                 f"the law '{self.name()}' cannot relax",
                 where="viscous",
@@ -332,6 +330,12 @@ class Law(Branched):
     def memory(self) -> Memory | None:
         """What it remembers, where its stress depends on what has been before; else None."""
         return self.branches() if self.viscous else self.own_memory
+
+    @property
+    def may_relax(self) -> bool:
+        """It takes `viscous`: it has an energy, and remembers nothing else."""
+        kind = type(self)
+        return kind.memory is Law.memory and kind.branches is not Law.branches and self.has_energy
 
     @property
     def own_memory(self) -> Memory | None:

@@ -15,7 +15,7 @@ from pydantic_core import PydanticUndefined
 
 from dolfin_elastic.core.help.records import descriptions, without_keys
 from dolfin_elastic.core.schema import Record
-from dolfin_elastic.model.materials.law import Law, SplitLaw
+from dolfin_elastic.model.materials.law import Branched, Law, SplitLaw
 from dolfin_elastic.model.materials.moduli import Isotropic
 from dolfin_elastic.model.materials.registry import MATERIALS
 
@@ -38,7 +38,10 @@ def page(kind: type[Law]) -> str:
 
 def _keys(kind: type[Law]) -> str:
     described = descriptions(kind)
-    names = [name for name in kind.model_fields if name not in ("law", "density")]
+    left_out = {"law", "density"}
+    if not kind(**kind.example).may_relax:
+        left_out |= set(Branched.model_fields)
+    names = [name for name in kind.model_fields if name not in left_out]
     rows = [
         f"| `{KEYS.get(name, name)}` | {described.get(name, '')} | {_default(kind, name)} |"
         for name in [*names, "density"]
