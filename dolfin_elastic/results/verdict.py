@@ -76,9 +76,8 @@ def verdict_of(summary: Table) -> Verdict | None:
         else []
     ):
         return _of_buckling(rows) if rows[0].get("kind") == "buckling" else _of_modes(rows, summary)
-    if not summary.get("steps"):
-        return None
-    return _of_load(_of_yield(summary) or _of_stress(summary), summary)
+    found = _of_yield(summary) or _of_stress(summary)
+    return _of_load(found, summary) if summary.get("steps") else None
 
 
 def _verdict(kind: Kind, text: str) -> Verdict:

@@ -32,6 +32,7 @@ from dolfin_elastic import (
     run,
 )
 from dolfin_elastic.case.check.consistency import check
+from dolfin_elastic.case.check.plausibility import plausibility_notes
 from dolfin_elastic.core.errors import ConvergenceError, InputError
 from dolfin_elastic.model.materials.law import Law
 from dolfin_elastic.problem.state import State
@@ -356,6 +357,16 @@ def test_constants_are_checked(keys: dict[str, Any], text: str) -> None:
 def test_a_back_stress_at_large_strains_is_refused() -> None:
     with pytest.raises(InputError, match="kinematic: a back stress at large strains"):
         J2Logarithmic(E=E, nu=NU, yield_stress=YIELD, kinematic=1e9)
+
+
+def test_a_yield_stress_without_its_unit_is_noted() -> None:
+    """235 of a data sheet in MPa."""
+    steel = {"law": "j2", "E": "210 GPa", "nu": 0.3, "yield": 235}
+    box = {"box": {"size": [1, 1, 1], "cells": [1, 1, 1]}}
+    case = Case.from_dict({"mesh": box, "materials": {"steel": steel}, "support": [{"on": "left"}]})
+    (note,) = (n for n in plausibility_notes(case, case.read_body()) if "yield" in n)
+    assert note.startswith("materials.steel.yield: 235 Pa beside a Young's modulus of 210 GPa")
+    assert 'did you mean "235 MPa"?' in note
 
 
 @pytest.mark.parametrize("degree", [1, 2])

@@ -29,6 +29,7 @@ from dolfin_elastic.model.amplitude import CONSTANT, PROPORTIONAL, Amplitude
 from dolfin_elastic.model.loads import Load
 from dolfin_elastic.model.loads.remote import RemoteForce
 from dolfin_elastic.model.materials.law import Law
+from dolfin_elastic.model.materials.plasticity import Plastic
 from dolfin_elastic.model.records import RATES, RecordFormula
 from dolfin_elastic.model.strength import Strength
 from dolfin_elastic.model.supports.displacement import (
@@ -357,16 +358,22 @@ def _material_notes(case: Case, body: Body) -> Iterator[str]:
 
 def _allowable_notes(where: str, law: Law) -> Iterator[str]:
     """A strength of less than a millionth of the stiffness, as of a bare number meant in MPa."""
-    if law.spatial_constants() or law.allowable is None:
+    if law.spatial_constants():
         return
     given = law.allowable.stresses() if isinstance(law.allowable, Strength) else {"": law.allowable}
-    for key, allowable in given.items():
+    strengths = {dotted(f"{where}.allowable", key): value for key, value in given.items()}
+    if isinstance(law, Plastic):
+        key = "yield" if law.yield_stress is not None else "hardening"
+        strengths[f"{where}.{key}"] = law.first_yield
+    for key, allowable in strengths.items():
+        if allowable is None:
+            continue
         if allowable < _STRONG * (modulus := young(law)) and modulus > _SOFT:
             meant = f'did you mean "{allowable:.4g} MPa"?'
             if 1e6 * allowable > modulus:
                 meant = "is a unit missing or wrong?"
             yield (
-                f"{dotted(f'{where}.allowable', key)}: {allowable:.4g} Pa beside a Young's modulus "
+                f"{key}: {allowable:.4g} Pa beside a Young's modulus "
                 f"of {quantity(modulus, 'Pa')}: {meant}"
             )
 
