@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import re
 import tomllib
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from functools import cache
 from importlib.resources import files
 from typing import Any
@@ -58,7 +58,7 @@ def completed(table: Entry, own: Mapping[str, Entry] | None = None) -> dict[str,
     for same, most in ((_ELASTIC, 1), (_DENSITY, 0)):
         if len(same & given.keys()) > most:
             keys -= same
-    values = {"allowable": entry["yield"]} if "yield" in entry else {}
+    values = {_limit(law, keys): entry["yield"]} if "yield" in entry else {}
     values |= {key: value for key, value in entry.items() if key not in _ABOUT}
     result = {**{key: value for key, value in values.items() if key in keys}, **law}
     if len(_ELASTIC & given.keys()) == 1 and len(have := sorted(_ELASTIC & result.keys())) > 2:
@@ -94,6 +94,13 @@ def check_library(entries: Mapping[str, object]) -> None:
                             f"the name '{one}' is that of '{other}', too",
                             expected="each name once, without regard to capitals",
                         )
+
+
+def _limit(table: Mapping[str, object], keys: Collection[str]) -> str:
+    """Which key the yield stress of an entry is: of a law that yields no other may be given."""
+    hardening = table.get("hardening")
+    curve = isinstance(hardening, list) or (isinstance(hardening, dict) and "table" in hardening)
+    return "yield" if "yield" in keys and not curve and "yield_stress" not in table else "allowable"
 
 
 def _check_entry(entry: object) -> None:

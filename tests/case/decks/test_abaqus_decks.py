@@ -120,6 +120,12 @@ def test_laws(tmp_path: Path, name: str) -> None:
     assert material["density"] == "7.85e-09 t/mm^3"
 
 
+def test_the_line_of_a_yield_stress_is_told(tmp_path: Path) -> None:
+    more = STEEL.replace("*DENSITY", "*PLASTIC\n2., 0.\n*DENSITY") + STATIC.format("")
+    (text,) = case_texts(read(tmp_path, cube(more)), "deck", "mm-t-s").values()
+    assert "*PLASTIC of line" in text.partition("[materials.steel]")[0].splitlines()[-1]
+
+
 def test_stiffnesses_of_ortho(tmp_path: Path) -> None:
     """D1111 ... of an isotropic body give back its E and nu."""
     E, nu = 210000.0, 0.3

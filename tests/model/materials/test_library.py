@@ -68,6 +68,15 @@ def test_values() -> None:
     assert (rubber.name(), rubber.mu, rubber.K) == ("neo-hookean-split", 0.64e6, 1030e6)
 
 
+def test_a_law_that_yields_takes_the_yield_stress() -> None:
+    law = named("steel S235", law="j2", hardening="1 GPa")
+    assert law.yield_stress == 235e6
+    assert law.allowable is None
+    table = named("steel S235", law="j2", hardening=[[0, "250 MPa"], [0.1, "300 MPa"]])
+    assert table.first_yield == 250e6
+    assert named("steel S235", law="j2", **{"yield": "240 MPa"}).yield_stress == 240e6
+
+
 def test_what_the_case_gives_wins() -> None:
     law = named("steel S235", allowable="150 MPa", E="200 GPa", law="st-venant-kirchhoff")
     assert (law.name(), law.E, law.nu, law.allowable) == ("st-venant-kirchhoff", 200e9, 0.3, 150e6)

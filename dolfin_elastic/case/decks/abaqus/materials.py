@@ -126,6 +126,7 @@ def material_entry(deck: Deck, material: Material, use: Use) -> Entry:
         deck.leave_out(place(material.card), text, "changes the answer")
     elif plastic:
         keys = _plastic(deck, plastic, keys, use)
+        remarks.append(f"*PLASTIC of line {plastic[0].line}")
     return Entry(where, keys, "; ".join(remarks))
 
 
