@@ -23,6 +23,7 @@ from dolfin_elastic import (
     Dynamics,
     Growth,
     J2Logarithmic,
+    LinearElastic,
     Problem,
     Statics,
     Support,
@@ -462,3 +463,36 @@ def test_a_run_with_all_that_it_tells(law: str, tmp_path: Path, comm: MPI.Comm) 
     assert state.numbers["yielded_fraction"] > 0.1
     assert state.audit is not None
     assert state.audit.verdict == "pass"
+
+
+def test_three_materials_side_by_side() -> None:
+    """One elastic, one viscous, one plastic, sheared together and held: stresses add up.
+
+    Steps of constant rate are exact in all of them.
+    """
+    body = box_body(size=(1, 3, 1), cells=(1, 3, 1))
+    middle = body.mesh.geometry.x[body.mesh.geometry.dofmap].mean(axis=1)[:, 1]
+    names = ("elastic", "viscous", "plastic")
+    cells = [np.flatnonzero(middle.astype(int) == i).astype(np.int32) for i in range(3)]
+    mu, rate = E / 2 / (1 + NU), 0.004
+    laws = {
+        "elastic": LinearElastic(E=E, nu=NU),
+        "viscous": LinearElastic(E=E, nu=NU, viscous=[{"ratio": 0.5, "time": 1.0}]),
+        "plastic": J2(E=E, nu=NU, yield_stress=YIELD),
+    }
+    curve = [[0, 0], [1, 1], [2, 1]]
+    sides = ["left", "right", "front", "back", "bottom", "top"]
+    supports = [
+        Support(on=sides, displacement=[f"{rate}*z", 0, 0], curve=curve),
+        Support(on="top", displacement=[rate, 0, 0], curve=curve),
+    ]
+    named = body.named(regions=dict(zip(names, cells, strict=True)))
+    problem = Problem(named, laws, supports=supports, degree=1)
+    for state in Statics(problem, end=2, steps=10, rtol=1e-13).steps():
+        strain = rate * min(state.t, 1.0)
+        fading = 1 - np.exp(-state.t) if state.t < 1 else np.exp(-state.t) * (np.e - 1)
+        viscous = mu * (strain + 0.5 * rate * fading)
+        expected = mu * strain + viscous + min(mu * strain, YIELD / 3**0.5)
+        found = float(state.reactions["top"][0])
+        assert found == pytest.approx(expected, rel=1e-10, abs=1e-10 * YIELD)
+    assert state.numbers["yielded_fraction"] == pytest.approx(1 / 3, rel=1e-12)
