@@ -14,7 +14,8 @@ from typing import Any
 import numpy as np
 import pytest
 from dolfinx import fem
-from helpers.checkpoints import through_json
+from helpers.checkpoints import saved, through_json
+from helpers.ranks import SIZES, on_ranks
 from mpi4py import MPI
 
 from dolfin_elastic import (
@@ -37,6 +38,7 @@ from dolfin_elastic.case.check.plausibility import plausibility_notes
 from dolfin_elastic.core.errors import ConvergenceError, InputError
 from dolfin_elastic.model.materials.law import Law
 from dolfin_elastic.problem.state import State
+from dolfin_elastic.results.checkpoint.checkpoints import newest_checkpoint
 from dolfin_elastic.solvers.assembly.assembler import compiled, integral
 from dolfin_elastic.solvers.dynamics.settings import DynamicsSettings, refuse_memory
 
@@ -496,3 +498,38 @@ def test_three_materials_side_by_side() -> None:
         found = float(state.reactions["top"][0])
         assert found == pytest.approx(expected, rel=1e-10, abs=1e-10 * YIELD)
     assert state.numbers["yielded_fraction"] == pytest.approx(1 / 3, rel=1e-12)
+
+
+@pytest.mark.parametrize("kind", [J2, J2Logarithmic])
+def test_from_two_ranks_to_three_to_one(kind: type[Law], tmp_path: Path, comm: MPI.Comm) -> None:
+    """A third of a bent bar's way out and back on each, as far as there are so many."""
+    folder = comm.bcast(tmp_path)
+
+    def solver(part: MPI.Comm) -> Statics:
+        body = rectangle_body(size=(4, 1), cells=(6, 2), comm=part)
+        down = [[0, 0], [1, -0.04], [2, 0.02]]  # small steps: none is cut where Newton fails
+        supports = [Support(on="left"), Support(on="right", displacement=[FREE, 1], curve=down)]
+        law = kind(E=E, nu=NU, yield_stress=YIELD, hardening=2e9)
+        return Statics(Problem(body, law, supports=supports), end=2, steps=12, rtol=1e-12)
+
+    def force(state: State) -> float:
+        return float(state.reactions["right"][1])
+
+    def third(part: MPI.Comm) -> list[float]:
+        solving, found = solver(part), newest_checkpoint(part, folder)
+        forces: list[float] = []
+        states = solving.steps() if found is None else solving.steps(found)
+        for state in states:
+            if state.step:
+                forces.append(force(state))
+            if len(forces) == 4 and state.step < 12:
+                saved(part, folder, solving.restart_state(), state.step)
+                break
+        states.close()
+        return forces
+
+    known = on_ranks(1, lambda part: [force(s) for s in solver(part).steps() if s.step])
+    order = [SIZES[-1 if len(SIZES) < 3 else 1], SIZES[-1], 1]
+    found = [one for count in order for one in on_ranks(count, third)]
+    # Newton's tolerance of each step is 1e-12 of its forces.
+    np.testing.assert_allclose(found, known, rtol=0, atol=1e-9 * np.abs(known).max())
