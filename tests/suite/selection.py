@@ -134,7 +134,9 @@ REFERENCES = {
     "verification/test_modes.py",
     "verification/test_motion.py",
     "verification/test_rubber.py",
+    "verification/test_necking.py",
     "verification/test_tapered.py",
+    "verification/test_taylor_bar.py",
     "verification/test_thick_plate.py",
     "verification/test_three_point_bending.py",
 }
