@@ -17,7 +17,7 @@ Source: Simo & Hughes, Computational Inelasticity (1998), sections 2.4 and 3.3; 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import TYPE_CHECKING, Annotated, Self, TypeAlias
@@ -31,7 +31,7 @@ from dolfin_elastic.core.schema import Record
 from dolfin_elastic.core.types import Scalar
 from dolfin_elastic.core.units import Number, Quantity, SpatialValue, Stress, Viscosity
 from dolfin_elastic.model.materials.law import SplitLaw
-from dolfin_elastic.model.materials.memory import Variable
+from dolfin_elastic.model.materials.memory import Memory, OverStep, Variable
 from dolfin_elastic.model.materials.moduli import Isotropic
 from dolfin_elastic.model.materials.spatial import Range
 
@@ -351,7 +351,7 @@ def returned(
     Args:
         deviator: Of the trial stress measured from the back stress [Pa], shape (3, 3).
         past: With `PLASTIC_STRAIN`.
-        step: See `constants_of_step`.
+        step: See `PlasticMemory.step`.
     """
     a, square = past[PLASTIC_STRAIN.name], 1.5 * ufl.inner(deviator, deviator)
     limit = law.flow.stress(a)
@@ -363,11 +363,6 @@ def returned(
         M += law.plastic_viscosity * step["per_dt"]
     growth = law.flow.growth(q, M, a)
     return Return(ufl.conditional(yields, growth, 0.0), ufl.conditional(yields, growth / q, 0.0))
-
-
-def constants_of_step(law: Plastic, dt: float) -> dict[str, float]:
-    """Constants of a step of a length [s]."""
-    return {"per_dt": 1 / dt if dt > 0 else AT_ONCE} if law.timed else {}
 
 
 def scalars_at_end(
@@ -385,3 +380,33 @@ def dissipated(law: Plastic, scalars: Mapping[str, Expr]) -> Expr:
     """Per reference volume [J/m^3], of what `scalars_at_end` gives."""
     work = law.flow.work(scalars[PLASTIC_STRAIN.name])
     return work + scalars[VISCOUS.name] if VISCOUS.name in scalars else work
+
+
+class PlasticMemory(Memory):
+    """The plastic strain, as a tensor and as the equivalent one.
+
+    Args:
+        tensor: What the law keeps of the tensor.
+        stepped: The law over a step, of past and step.
+        plane_stress: See `Memory`.
+    """
+
+    def __init__(
+        self,
+        law: Plastic,
+        tensor: Variable,
+        stepped: Callable[[Mapping[str, Expr], Mapping[str, Expr]], OverStep],
+        *,
+        plane_stress: bool = True,
+    ) -> None:
+        self._stepped = stepped
+        self.timed, self.plane_stress = law.timed, plane_stress
+        self.variables = (tensor, PLASTIC_STRAIN, *((VISCOUS,) if law.timed else ()))
+
+    def over_step(self, past: Mapping[str, Expr], step: Mapping[str, Expr]) -> OverStep:
+        """See `Memory`."""
+        return self._stepped(past, step)
+
+    def step(self, dt: float, *, passes: bool) -> dict[str, float]:
+        """See `Memory`."""
+        return {"per_dt": 1 / dt if dt > 0 else AT_ONCE} if self.timed else {}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import ClassVar, Literal
 
 import ufl
@@ -14,9 +15,8 @@ from dolfin_elastic.model.materials.law import once
 from dolfin_elastic.model.materials.memory import Memory, Variable
 from dolfin_elastic.model.materials.plasticity import (
     PLASTIC_STRAIN,
-    VISCOUS,
     Plastic,
-    constants_of_step,
+    PlasticMemory,
     dissipated,
     returned,
     scalars_at_end,
@@ -51,7 +51,7 @@ class J2(Plastic):
     @property
     def memory(self) -> Memory:
         """See `Law`."""
-        return _Memory(self)
+        return PlasticMemory(self, TENSOR, partial(SteppedJ2, self))
 
     def shape_energy(self, F: Expr) -> Expr:
         """mu dev eps:dev eps, before anything has yielded."""
@@ -61,23 +61,6 @@ class J2(Plastic):
     def volume_strain(self, F: Expr) -> Expr:
         """tr eps."""
         return ufl.tr(infinitesimal_strain(F))
-
-
-class _Memory(Memory):
-    """The plastic strain: tensor and equivalent."""
-
-    def __init__(self, law: J2) -> None:
-        self._law, self.timed = law, law.timed
-        viscous = (VISCOUS,) if law.timed else ()
-        self.variables = (TENSOR, PLASTIC_STRAIN, *viscous)
-
-    def over_step(self, past: Mapping[str, Expr], step: Mapping[str, Expr]) -> SteppedJ2:
-        """See `Memory`."""
-        return SteppedJ2(self._law, past, step)
-
-    def step(self, dt: float, *, passes: bool) -> dict[str, float]:
-        """See `Memory`."""
-        return constants_of_step(self._law, dt)
 
 
 @dataclass(frozen=True)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import ClassVar, Literal, Self
 
 import ufl
@@ -16,10 +17,9 @@ from dolfin_elastic.model.materials.laws.hencky import Logarithmic
 from dolfin_elastic.model.materials.memory import Memory, Variable
 from dolfin_elastic.model.materials.plasticity import (
     PLASTIC_STRAIN,
-    VISCOUS,
     Plastic,
+    PlasticMemory,
     Return,
-    constants_of_step,
     dissipated,
     returned,
     scalars_at_end,
@@ -66,26 +66,9 @@ class J2Logarithmic(Plastic, Logarithmic):
     @property
     def memory(self) -> Memory:
         """See `Law`."""
-        return _Memory(self)
-
-
-class _Memory(Memory):
-    """The inverse of Fp, and the equivalent plastic strain."""
-
-    plane_stress = False  # its tangent takes a compiler longer than five minutes
-
-    def __init__(self, law: J2Logarithmic) -> None:
-        self._law, self.timed = law, law.timed
-        viscous = (VISCOUS,) if law.timed else ()
-        self.variables = (INVERSE, PLASTIC_STRAIN, *viscous)
-
-    def over_step(self, past: Mapping[str, Expr], step: Mapping[str, Expr]) -> SteppedLogarithmic:
-        """See `Memory`."""
-        return SteppedLogarithmic(self._law, past, step)
-
-    def step(self, dt: float, *, passes: bool) -> dict[str, float]:
-        """See `Memory`."""
-        return constants_of_step(self._law, dt)
+        # In plane stress a compiler would take longer than five minutes for its tangent.
+        stepped = partial(SteppedLogarithmic, self)
+        return PlasticMemory(self, INVERSE, stepped, plane_stress=False)
 
 
 @dataclass(frozen=True)
