@@ -5,6 +5,7 @@ Uniaxial stress needs one equation of the axial plastic strain, which is solved 
 
 from __future__ import annotations
 
+import logging
 import re
 import tomllib
 from collections.abc import Callable
@@ -430,6 +431,24 @@ def test_a_limit_load_is_told() -> None:
     assert found
     # Forces alone would make 0.5; the wall holds the corners, and elements across are four.
     assert 0.5 < float(found[1]) < 0.6
+
+
+def test_a_plateau_has_no_limit_points(caplog: pytest.LogCaptureFixture) -> None:
+    """An ideally plastic bar by arc length: the load stays, to round-off, and nothing branches."""
+    rollers = [
+        Support(on=on, displacement=[0 if i == j else FREE for j in range(3)])
+        for i, on in enumerate(("left", "front", "bottom"))
+    ]
+    body = box_body(size=(1, 1, 1), cells=(1, 1, 1))
+    pull = Traction(on="right", value=[1.5 * YIELD, 0, 0])
+    law = J2(E=E, nu=NU, yield_stress=YIELD)
+    problem = Problem(body, law, supports=rollers, loads=[pull])
+    solver = Statics(problem, method="arc-length", max_displacement=0.05)
+    with caplog.at_level(logging.WARNING):
+        *_, state = solver.steps()
+    assert state.load_factor == pytest.approx(1 / 1.5, rel=1e-6)
+    assert state.max_displacement > 0.04
+    assert "bifurcation" not in caplog.text
 
 
 @pytest.mark.parametrize("law", ["j2", "j2-logarithmic"])

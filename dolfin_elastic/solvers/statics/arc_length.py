@@ -57,6 +57,8 @@ LENGTH_TOLERANCE = 1e-6
 BALANCED = 10.0
 """Error of the load of an equilibrium, over what forces out of balance Newton's method has left."""
 
+FLAT = 1e-6
+"""Changes of the load factor, over it, that count as none where a metal flows."""
 SLOPE = 1e-8
 """Relative tolerance of an iterative solver for the tangent of the path."""
 
@@ -315,6 +317,9 @@ class ArcLength:
         remembered = [field.x.array.copy() for field in memory]
         least = BALANCED * self._newton.tolerance.rtol
         limits = limit_points(begin, end, inside, least=least)
+        history, change = self._problem.history, abs(end.t - begin.t)
+        if history is not None and history.yields and change < FLAT * abs(end.t):
+            limits = []  # a plateau, whose slope is round-off
         if inside.moved:
             self._bordered.put_back(there)
             for field, saved in zip(memory, remembered, strict=True):
