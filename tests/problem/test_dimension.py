@@ -240,6 +240,12 @@ def test_thickness_scales_forces_and_energies():
 
 POWERFUL = [name for name, kind in MATERIALS.items() if kind(**kind.example).has_energy]
 ROUND = [name for name in POWERFUL if not MATERIALS[name].directions]
+FLAT = [
+    name
+    for name in POWERFUL
+    if "fibre" not in MATERIALS[name].directions and name != "j2-logarithmic"
+]
+"""What can be computed in plane stress, and is symmetric to its plane."""
 
 
 def bar(law: Any, geometry: str) -> tuple[float, float]:
@@ -284,7 +290,7 @@ def bar(law: Any, geometry: str) -> tuple[float, float]:
 @pytest.mark.sample(3)
 @pytest.mark.parametrize(
     ("name", "geometry"),
-    [(name, "plane-stress") for name in POWERFUL if "fibre" not in MATERIALS[name].directions]
+    [(name, "plane-stress") for name in POWERFUL if name in FLAT]
     + [(name, "axisymmetric") for name in ROUND],
 )
 def test_every_law_is_the_same_in_every_geometry(name, geometry):

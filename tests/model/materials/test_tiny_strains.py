@@ -164,7 +164,12 @@ def test_gradient_is_found_in_a_sum():
 # --- residuals of bodies ---
 
 KINDS = ["plane-strain", "plane-stress", "axisymmetric", "solid"]
-BODIES = [(name, kind, "displacement") for name in MATERIALS for kind in KINDS] + [
+BODIES = [
+    (name, kind, "displacement")
+    for name in MATERIALS
+    for kind in KINDS
+    if (name, kind) != ("j2-logarithmic", "plane-stress")  # is refused
+] + [
     (name, kind, "mixed")
     for name, law in MATERIALS.items()
     for kind in KINDS

@@ -12,6 +12,7 @@ from pydantic import model_validator
 from ufl.core.expr import Expr
 
 from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.model.kinematics import deformation_from, displacement_gradient
 from dolfin_elastic.model.materials.law import once
 from dolfin_elastic.model.materials.laws.hencky import Logarithmic
 from dolfin_elastic.model.materials.memory import Memory, Variable
@@ -26,7 +27,8 @@ from dolfin_elastic.model.materials.plasticity import (
 )
 from dolfin_elastic.model.materials.stepped import SteppedSplitLaw
 
-INVERSE = Variable("inverse_plastic_deformation", "tensor", start=1.0)
+INVERSE = Variable("inverse_plastic_gradient", "tensor")
+"""Fp^-1 - I, so that elastic strains below round-off of 1 are not lost."""
 HALVINGS = 3
 ORDER = 9
 """Of the exponential of a step's plastic strain: its error is below 1e-13 at a strain of one."""
@@ -84,7 +86,8 @@ class SteppedLogarithmic(SteppedSplitLaw):
     @once
     def _trial(self, F: Expr) -> tuple[Expr, Expr, Expr, Return]:
         """Fe of the trial state, its P and tau without pressure [Pa], and what yields."""
-        Fe = F * self.past[INVERSE.name]
+        H, G = displacement_gradient(F), self.past[INVERSE.name]
+        Fe = deformation_from(H + G + H * G)
         P = self.law.shape_stress(Fe)
         tau = P * Fe.T
         return Fe, P, tau, returned(self.law, tau, self.past, self.step)
@@ -101,7 +104,7 @@ class SteppedLogarithmic(SteppedSplitLaw):
 
     def shape_stress(self, F: Expr) -> Expr:
         """See `SteppedSplitLaw`: tau F^-T."""
-        return self._left(F) * self._trial(F)[1] * self.past[INVERSE.name].T
+        return self._left(F) * self._trial(F)[1] * (ufl.Identity(3) + self.past[INVERSE.name]).T
 
     def shape_energy(self, F: Expr) -> Expr:
         """See `SteppedSplitLaw`: tau:tau/(4 mu) of the deviator."""
@@ -112,9 +115,10 @@ class SteppedLogarithmic(SteppedSplitLaw):
         """See `OverStep`: Fp^-1 exp(-3/2 growth/q Fe^-1 tau Fe) of determinant 1."""
         Fe, P, _, found = self._trial(F)
         flow = ufl.inv(Fe) * P * (Fe.T * Fe)
-        inverse = self.past[INVERSE.name] * _exponential(-1.5 * found.share * flow)
+        before = ufl.Identity(3) + self.past[INVERSE.name]
+        inverse = before * _exponential(-1.5 * found.share * flow)
         return {
-            INVERSE.name: inverse / ufl.det(inverse) ** (1 / 3),
+            INVERSE.name: inverse / ufl.det(inverse) ** (1 / 3) - ufl.Identity(3),
             **scalars_at_end(self.law, found.growth, self.past, self.step),
         }
 
