@@ -41,7 +41,7 @@ def test_virtual_environment(tmp_path: Path) -> None:
     pip = [sys.executable, "-m", "pip"]
     done([*pip, "wheel", *offline, "--no-build-isolation", "-w", tmp_path, source], tmp_path)
     (wheel,) = tmp_path.glob("*.whl")
-    assert wheel.stat().st_size < 2e6
+    assert wheel.stat().st_size < 2.5e6  # the code alone: 2.05 MB; a picture or a mesh is more
     names = zipfile.ZipFile(wheel).namelist()
     assert "dolfin_elastic/cli/tools/templates/rubber.toml" in names
     code = [

@@ -28,7 +28,7 @@ LONGEST = 20.0
 """Time that one of them may take [s]."""
 STOP = 8.0
 """Time after which a run is asked to stop [s]: a good case may have a million steps."""
-STOPPED = 130
+STOPPED, AUDIT_FAILED = 130, 5
 SHARED = 25
 """How many of each several ranks read."""
 
@@ -96,12 +96,14 @@ def read(
     seconds = time.monotonic() - begin
     codes = COMM.allgather(code)
     late = command == "run" and COMM.allreduce(seconds, op=MPI.MAX) > STOP
-    if set(codes) not in ({0}, {2}, {3}, *([{STOPPED}] if late else [])):
+    audited = command == "run" and "audit" in said  # its results are told to be unreliable
+    others = [*([{STOPPED}] if late else []), *([{AUDIT_FAILED}] if audited else [])]
+    if set(codes) not in ({0}, {2}, {3}, *others):
         return f"codes {codes}: {said}"
     if seconds > LONGEST:
         return f"{seconds:.3g} s"
     told = re.findall("^error: .*", said, re.MULTILINE)
-    wrong = bool(code) and code != STOPPED
+    wrong = bool(code) and code not in (STOPPED, AUDIT_FAILED)
     most = len(set(told)) if code == 2 else int(wrong)  # all errors of a case, each of them once
     if COMM.rank == 0 and (bool(told) != wrong or len(told) > most or "Traceback" in said):
         return f"not one message each: {said}"
