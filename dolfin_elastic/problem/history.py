@@ -25,7 +25,7 @@ from dolfin_elastic.core.timing import stage
 from dolfin_elastic.core.types import FloatArray, IndexArray
 from dolfin_elastic.mesh.body import Body
 from dolfin_elastic.model.materials.growth import grown_volume
-from dolfin_elastic.model.materials.memory import Memory
+from dolfin_elastic.model.materials.memory import Memory, in_a_row
 from dolfin_elastic.model.materials.plasticity import PLASTIC_STRAIN
 from dolfin_elastic.model.materials.stepped import SteppedLaw
 from dolfin_elastic.problem.constraints.periodic.unit_cell import Cell
@@ -127,8 +127,7 @@ class RegionHistory:
 
     def numbers_at_end(self, law: SteppedLaw, F: Expr) -> Expr:
         """All that `commit` takes, as one UFL vector."""
-        found = law.at_end(F)
-        return ufl.as_vector([x for v in self.memory.found for x in v.numbers(found[v.name])])
+        return in_a_row(self.memory.found, law.at_end(F))
 
     def commit(self, numbers: CellExpression, dt: float) -> None:
         """Takes over the present state at the end of a step. Not collective.
@@ -254,6 +253,7 @@ class History:
         """The body at rest: forgets all, and no time passes until `begin`. Local."""
         for part in self._regions.values():
             part.reset()
+        self._heat = 0.0
         self.forget()
 
     def changed(self) -> bool:
@@ -442,6 +442,8 @@ class History:
         for i, part in enumerate(self._regions.values()):
             part.take({v.name: fields[f"history {i + 1}.{v.name}"] for v in part.memory.variables})
         self._begin_at(saved["t"], saved["work"])
+        if self._lost is not None:
+            self._heat = self._dissipated()
 
 
 def _flowed(law: SteppedLaw, F: Expr) -> Expr | None:

@@ -8,7 +8,7 @@ once.  Both are UFL; where the values are kept is the affair of `problem.history
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Literal
 
@@ -62,6 +62,11 @@ class Variable:
             return [ufl.as_ufl(value)]
         pairs = SIX if self.shape == "symmetric" else tuple(np.ndindex(3, 3))
         return [value[i, j] for i, j in pairs]
+
+
+def in_a_row(variables: Iterable[Variable], values: Mapping[str, Expr]) -> Expr:
+    """All numbers of variables, from the quantities by name, as one UFL vector."""
+    return ufl.as_vector([x for v in variables for x in v.numbers(values[v.name])])
 
 
 Values = Mapping[str, FloatArray]

@@ -17,6 +17,7 @@ Source: Simo & Hughes, Computational Inelasticity (1998), sections 2.4 and 3.3; 
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from itertools import pairwise
@@ -212,20 +213,20 @@ class Plastic(Isotropic, SplitLaw):
         return _Voce(self.yield_stress, curve.slope, curve.saturation, curve.rate)
 
 
-class Flow:
+class Flow(ABC):
     """The yield stress sigma_y over the equivalent plastic strain a; all are UFL scalars [Pa]."""
 
+    @abstractmethod
     def stress(self, a: Expr) -> Expr:
         """sigma_y(a)."""
-        raise NotImplementedError
 
+    @abstractmethod
     def work(self, a: Expr) -> Expr:
         """Its integral from 0 to a [J/m^3]."""
-        raise NotImplementedError
 
+    @abstractmethod
     def growth(self, q: Expr, M: Expr, a: Expr) -> Expr:
         """d of the module where q is above sigma_y(a)."""
-        raise NotImplementedError
 
 
 @dataclass(frozen=True)

@@ -62,7 +62,7 @@ from dolfin_elastic.mesh.geometry.curved import (
     shape_gradients,
 )
 from dolfin_elastic.model.kinematics import green_strain, infinitesimal_strain
-from dolfin_elastic.model.materials.growth import GrownLaw
+from dolfin_elastic.model.materials.growth import GrownLaw, grown_volume
 from dolfin_elastic.model.materials.law import Law, ModifiedLaw
 from dolfin_elastic.model.materials.mixed import Mixed
 from dolfin_elastic.model.strength import Strength
@@ -335,11 +335,9 @@ def _work_pairs(
     """
     response: Law | ModifiedLaw = problem.weak_form.response(region, w)
     F = problem.weak_form.F(w)
-    volume: Expr | float = 1.0
+    volume = grown_volume(response)
     if isinstance(response, GrownLaw):
-        F = response.elastic(F)
-        volume = 1.0 if response.linear else ufl.det(response.growth)
-        response = response.law
+        F, response = response.elastic(F), response.law
     P = response.law.shape_stress(F) if isinstance(response, Mixed) else response.stress(F)
     if response.linear:
         S, E = P, infinitesimal_strain(F)

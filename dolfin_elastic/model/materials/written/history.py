@@ -21,7 +21,7 @@ from ufl.core.expr import Expr
 from dolfin_elastic.core.errors import InputError, nearest
 from dolfin_elastic.core.schema import quoted
 from dolfin_elastic.model.materials.law import SplitLaw, once
-from dolfin_elastic.model.materials.memory import Memory, Variable
+from dolfin_elastic.model.materials.memory import Memory, Variable, in_a_row
 from dolfin_elastic.model.materials.stepped import SteppedLaw, SteppedSplitLaw
 from dolfin_elastic.model.materials.viscous import Viscous
 
@@ -165,8 +165,7 @@ class Remembering(Viscous):
 
     def ends(self, F: Expr) -> Expr:
         """All numbers of `next_values`, as one UFL vector."""
-        found = self.next_values(F)
-        return ufl.as_vector([x for n, v in self.history.items() for x in v.numbers(found[n])])
+        return in_a_row(self.history.values(), self.next_values(F))
 
 
 class UserMemory(Memory):
