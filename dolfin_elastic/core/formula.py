@@ -9,6 +9,8 @@
                  ramp(a)         0 below 0, a between, 1 above 1
                  smoothstep(a)   the same with horizontal tangents, 3a^2 - 2a^3
     choice       where(a < b, then, otherwise)   with < <= > >=
+    tensors      where the place has any: A + B, a*A, A/a, A*B (product), I; tr det inv dev sym
+                 transpose, inner(A, B), norm(A) = sqrt(inner(A, A))
 
 Nothing is ever handed to `eval`: the text is cut into known tokens, Python's parser orders them,
 and only the operations of one table are carried out, in floating point.
@@ -33,6 +35,8 @@ from dolfin_elastic.core.formula_functions import (
     COMPARISONS,
     CONSTANTS,
     FUNCTIONS,
+    GIVE_NUMBERS,
+    OF_TENSORS,
     OPERATIONS,
     Operation,
     numeric,
@@ -57,19 +61,24 @@ class Formula:
     Attributes:
         text: As it was written.
         names: The free names it uses.
+        tensor: Its value is a tensor of shape (3, 3), in UFL only.
     """
 
     text: str
     names: frozenset[str]
     _tree: Tree = field(repr=False, compare=False)
+    tensor: bool = field(default=False, kw_only=True)
 
     @classmethod
-    def parse(cls, text: str, *, allowed: Collection[str]) -> Formula:
+    def parse(
+        cls, text: str, *, allowed: Collection[str], tensors: Collection[str] = ()
+    ) -> Formula:
         """Reads a formula.
 
         Args:
             text: At most 1000 characters, see the module.
             allowed: Names that may stand in it; they win over `pi` and `e`.
+            tensors: Those of them that are tensors.
 
         Returns:
             The formula.
@@ -77,8 +86,9 @@ class Formula:
         Raises:
             FormulaError: With the column, a caret under the fault, and what would be right.
         """
-        reader = _Reader(text, frozenset(allowed))
-        formula = cls(text, *reader.read())
+        reader = _Reader(text, frozenset(allowed), frozenset(tensors))
+        names, tree = reader.read()
+        formula = cls(text, names, tree, tensor=reader.is_tensor(tree))
         if not formula.names:
             formula.evaluate()  # a constant shows here and now whether it is finite
         return formula
@@ -225,8 +235,8 @@ class _Token:
 class _Reader:
     """Parser of one formula: cuts it into tokens, checks their order, builds the tree."""
 
-    def __init__(self, text: str, allowed: frozenset[str]) -> None:
-        self.text, self.allowed = text, allowed
+    def __init__(self, text: str, allowed: frozenset[str], tensors: frozenset[str]) -> None:
+        self.text, self.allowed, self.tensors = text, allowed, tensors
         self.names: set[str] = set()
         self.at: dict[int, int] = {}
         """Column in the source handed to Python's parser to column in the user's text."""
@@ -352,14 +362,55 @@ class _Reader:
             case ast.UnaryOp(op=sign, operand=inner):
                 return ("-u" if isinstance(sign, ast.USub) else "+u", [self._value(inner)])
             case ast.BinOp(left=left, op=op, right=right):
-                return (_SYMBOLS[type(op)], [self._value(left), self._value(right)])
+                args = [self._value(left), self._value(right)]
+                return self._of_shapes(_SYMBOLS[type(op)], args, right)
             case ast.Compare(left=left, ops=[op], comparators=[right]):
-                return (_SYMBOLS[type(op)], [self._value(left), self._value(right)])
+                args = [self._value(left), self._value(right)]
+                return self._of_shapes(_SYMBOLS[type(op)], args, right)
             case ast.Compare():
                 raise self._fault("comparisons cannot be chained", node, "use where() twice")
             case ast.Call(func=ast.Name(id=name), args=args):
                 return self._call(name[:-1], node, args)
         raise self._fault("this is no part of a formula", node)
+
+    # --- tensors ---
+
+    def is_tensor(self, tree: Tree) -> bool:
+        """Whether the value of a part is a tensor."""
+        if not isinstance(tree, tuple):
+            return tree in self.tensors
+        name, args = tree
+        if name in OF_TENSORS:
+            return name not in GIVE_NUMBERS
+        if name == "*":
+            return any(map(self.is_tensor, args))
+        if name == "where":
+            return self.is_tensor(args[1])
+        return name in ("+", "-", "+u", "-u", "/") and self.is_tensor(args[0])
+
+    def _of_shapes(self, name: str, args: list[Tree], node: ast.expr) -> Tree:
+        """An operation, after its arguments are of the right shapes.
+
+        Args:
+            node: Where a fault is shown.
+        """
+        if not self.tensors:
+            return (name, args)
+        are = [self.is_tensor(arg) for arg in args]
+        shown = {"^": "a power", "/": "a quotient"}.get(name, f"'{name}'")
+        if name in OF_TENSORS and not all(are):
+            raise self._fault(f"{name} of a number", node, f"a tensor, as in {name}(C)")
+        if name in ("+", "-") and len(set(are)) > 1:
+            raise self._fault(
+                f"{shown} between a tensor and a number", node, "a*I is a tensor, tr(A) a number"
+            )
+        if name == "where" and are[1] != are[2]:
+            raise self._fault("where() gives a tensor or a number", node, "two tensors, or numbers")
+        allowed = {"+": 2, "-": 2, "*": 2, "/": 1, "where": 3}.get(name, 0)
+        if name not in OF_TENSORS and any(are[allowed:]):
+            hint = {"^": "A*A is a product", "/": "inv(A)"}.get(name, "a number, as tr(A)")
+            raise self._fault(f"{shown} with a tensor", node, hint)
+        return (name, args)
 
     def _value(self, node: ast.expr) -> Tree:
         tree = self._tree(node)
@@ -373,21 +424,22 @@ class _Reader:
             return name
         if name in CONSTANTS:
             return CONSTANTS[name]
-        if name in FUNCTIONS:
+        if name in FUNCTIONS or (self.tensors and name in OF_TENSORS):
             raise self._fault(f"'{name}' is a function", node, f"write {name}(...)")
         raise self._fault(
             f"unknown name '{name}'", node, nearest(name, [*self.allowed, *CONSTANTS])
         )
 
     def _call(self, name: str, node: ast.expr, args: list[ast.expr]) -> Tree:
-        if name not in FUNCTIONS:
+        functions = FUNCTIONS | OF_TENSORS if self.tensors else FUNCTIONS
+        if name not in functions:
             # Texts may allow any name, so that a function with a slip in it looks like a factor.
-            slips = get_close_matches(name, FUNCTIONS, n=1, cutoff=_SLIP)
+            slips = get_close_matches(name, functions, n=1, cutoff=_SLIP)
             known = (name in self.allowed or name in CONSTANTS) and not slips
             what = f"'{name}' is not a function" if known else f"unknown function '{name}'"
-            hint = f"write {name}*(...)" if known else nearest(name, FUNCTIONS)
+            hint = f"write {name}*(...)" if known else nearest(name, functions)
             raise self._fault(what, node, hint)
-        operation = FUNCTIONS[name]
+        operation = functions[name]
         if not operation.fewest <= len(args) <= operation.most:
             count = f"{operation.fewest}" + ("" if operation.most < math.inf else " or more")
             raise self._fault(
@@ -395,8 +447,9 @@ class _Reader:
                 node,
             )
         if name == "where":
-            return (name, [self._condition(args[0]), *map(self._value, args[1:])])
-        return (name, [*map(self._value, args)])
+            values = [self._condition(args[0]), *map(self._value, args[1:])]
+            return self._of_shapes(name, values, args[-1])
+        return self._of_shapes(name, [*map(self._value, args)], args[0])
 
     def _condition(self, node: ast.expr) -> Tree:
         tree = self._tree(node)

@@ -50,6 +50,12 @@ def _fold(function: Callable[[Scalar, Scalar], Scalar]) -> Callable[..., Scalar]
 def _choose(condition: Expr | bool, then: Scalar, otherwise: Scalar) -> Scalar:
     if isinstance(condition, bool | np.bool_):
         return then if condition else otherwise
+    if isinstance(then, Expr) and isinstance(otherwise, Expr) and then.ufl_shape:
+        rows, columns = map(range, then.ufl_shape)
+        each = [
+            [ufl.conditional(condition, then[i, j], otherwise[i, j]) for j in columns] for i in rows
+        ]
+        return ufl.as_matrix(each)
     return ufl.conditional(condition, then, otherwise)
 
 
@@ -107,9 +113,44 @@ FUNCTIONS: dict[str, Operation] = {
     "smoothstep": _op(lambda a: _smooth(np.clip(a, 0.0, 1.0)), lambda a: _smooth(_ramp(a))),
     "where": _op(np.where, _choose, 3),
 }
+
+
+def _of_ufl(symbolic: Callable[..., Scalar], arguments: int = 1) -> Operation:
+    """An operation on tensors, which numpy does not carry out here."""
+
+    def numeric(*_: Scalar) -> Scalar:
+        raise TypeError("an operation on tensors, of numbers")
+
+    return _op(numeric, symbolic, arguments)
+
+
+_TINY = 1e-60
+
+
+def _norm(A: Expr) -> Expr:
+    """sqrt(A : A), whose first and second derivatives at A = 0 have a value, 0.
+
+    UFL derives a choice as 1*(one branch) + 0*(the other), so that none may be infinite.
+    """
+    return ufl.sqrt(ufl.inner(A, A) + _TINY)
+
+
+OF_TENSORS: dict[str, Operation] = {
+    "norm": _of_ufl(_norm),
+    "tr": _of_ufl(ufl.tr),
+    "det": _of_ufl(ufl.det),
+    "inner": _of_ufl(ufl.inner, 2),
+    "inv": _of_ufl(ufl.inv),
+    "dev": _of_ufl(ufl.dev),
+    "sym": _of_ufl(ufl.sym),
+    "transpose": _of_ufl(ufl.transpose),
+}
+"""Functions of tensors of shape (3, 3)."""
+GIVE_NUMBERS = frozenset({"norm", "tr", "det", "inner"})
+"""Those whose value is a number."""
 CONSTANTS = {"pi": math.pi, "e": math.e}
 COMPARISONS = frozenset({"<", "<=", ">", ">="})
-OPERATIONS = OPERATORS | FUNCTIONS
+OPERATIONS = OPERATORS | FUNCTIONS | OF_TENSORS
 
 
 def numeric(operation: Operation, args: list[Scalar]) -> Scalar:
@@ -142,7 +183,8 @@ def symbolic(operation: Operation, args: list[Scalar]) -> Scalar:
 
 def _folded(result: Expr) -> Expr | float:
     # "0*x + 9" is a number again.  As UFL's whole numbers, 9^9^9^9 would be worked out exactly.
-    return float(result) if isinstance(result, ScalarValue | Zero) else result
+    scalar = isinstance(result, ScalarValue | Zero) and not result.ufl_shape
+    return float(result) if scalar else result
 
 
 _SMALL = 1e6

@@ -8,6 +8,7 @@ trace, and `History.commit` evaluates once at the accepted state.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from functools import partial
 from itertools import count
 
 import basix
@@ -20,12 +21,21 @@ from ufl.core.expr import Expr
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.jit import compile_forms, options
 from dolfin_elastic.core.jit.cell_integrals import CellExpression, CellIntegrals, can_be_packed
+from dolfin_elastic.core.jit.compile import JitOptions
+from dolfin_elastic.core.jit.point_roots import OfPoints, PointRoots
 from dolfin_elastic.core.parallel import largest, total
 from dolfin_elastic.core.timing import stage
 from dolfin_elastic.core.types import FloatArray, IndexArray
 from dolfin_elastic.mesh.body import Body
 from dolfin_elastic.model.materials.growth import grown_volume
-from dolfin_elastic.model.materials.memory import Memory, in_a_row
+from dolfin_elastic.model.materials.memory import (
+    ImplicitMemory,
+    ImplicitStep,
+    Memory,
+    Root,
+    Variable,
+    in_a_row,
+)
 from dolfin_elastic.model.materials.plasticity import PLASTIC_STRAIN
 from dolfin_elastic.model.materials.stepped import SteppedLaw
 from dolfin_elastic.problem.constraints.periodic.unit_cell import Cell
@@ -84,11 +94,66 @@ class RegionHistory:
         numbers = memory.step(0.0, passes=False)
         self._step = {name: fem.Constant(mesh, value) for name, value in numbers.items()}
         past = {v.name: v.value(self._past[v.name]) for v in memory.seen}
+        self._order = order
+        self._found: OfPoints | None = None
         law = memory.over_step(past, self._step)
+        if isinstance(memory, ImplicitMemory):
+            law = memory.with_root(past, self._step, self._make_root(memory.unknowns))
         assert isinstance(law, SteppedLaw)
         self.law = law
         self.values: dict[str, FloatArray] = {}
         self._start()
+
+    def _make_root(self, unknowns: tuple[Variable, ...]) -> Root:
+        """The unknowns of equations at the points, as coefficients of forms."""
+        mesh, size = next(iter(self._spaces.values())).mesh, sum(v.size for v in unknowns)
+        spaces = [fem.functionspace(mesh, ("DG", self._order, (n,))) for n in (size, size * size)]
+        self._found, self._inverse = OfPoints(spaces[0]), fem.Function(spaces[1])
+        start = np.concatenate([v.at_start for v in unknowns])
+        self._found.x.array.reshape(-1, size)[:] = start
+        return Root(unknowns, self._found, self._inverse)
+
+    def solves_by(self, F: Callable[[], Expr], w: fem.Function, jit_options: JitOptions) -> None:
+        """Says of which F equations at the points are, where there are any.
+
+        Args:
+            F: Gives the deformation gradient without growth.
+        """
+        if self._found is not None:
+            self._found.make = lambda: self._make_roots(F(), w, jit_options)
+
+    def follow(self) -> None:
+        """Solves equations at points, see `History.follow`. Collective."""
+        if self._found is not None:
+            self._found.prepare()
+            self._found.follow()
+
+    @property
+    def lost(self) -> int:
+        """Points of this rank at which equations had no root that was found last."""
+        roots = None if self._found is None else self._found.roots
+        return 0 if roots is None else roots.lost
+
+    def _make_roots(self, F: Expr, w: fem.Function, jit_options: JitOptions) -> PointRoots:
+        """Compiles the equations at the points. Collective."""
+        assert isinstance(self.law, ImplicitStep)
+        root, law = self.law.root, self.law
+        return PointRoots(
+            root.to_solve(law.equations(F)),
+            (self._found, self._inverse),
+            self.points,
+            self._table,
+            [k for k, v in enumerate(root.variables) for _ in range(v.size)],
+            self._cells,
+            lambda: np.hstack([self._rows_of(v) for v in root.variables]),
+            w=w,
+            jit_options=jit_options,
+        )
+
+    def _rows_of(self, variable: Variable) -> FloatArray:
+        """What the law over a step sees of a variable, at the nodes of the region."""
+        values = self._past[variable.name].x.array.reshape(-1, variable.size)
+        return np.asarray(values[self._rows])
 
     def _start(self) -> None:
         """The body at rest, outside of the region, too, where no law is to divide by zero."""
@@ -119,6 +184,8 @@ class RegionHistory:
             self._step[name].value = value
         for name, values in self.memory.fold(self.values, dt).items():
             self._past[name].x.array.reshape(-1, values.shape[1])[self._rows] = values
+        if self._found is not None and self._found.roots is not None:
+            self._found.roots.renew()
 
     @property
     def past(self) -> list[fem.Function]:
@@ -209,6 +276,8 @@ class History:
         self.yields = not all(memory.fades for memory in memories)
         self.relaxes = any(memory.fades for memory in memories)
         weak_form.stepped.update({name: part.law for name, part in self._regions.items()})
+        for name, part in self._regions.items():
+            part.solves_by(partial(self._elastic, name), self._w, options(self._comm))
         self.long_term = False
         self._t: float | None = None  # of the past that is committed
         self._now = 0.0
@@ -220,6 +289,20 @@ class History:
         self._volumes: list[fem.Form] = []
         self._heat = 0.0  # of the committed state
         self._before: tuple[FloatArray, FloatArray] = (np.empty(0), np.empty(0))
+
+    def _elastic(self, name: str) -> Expr:
+        """F without growth of a region, by its name."""
+        parts = self._weak_form.elastic_parts()
+        return next(F for region, _, F in parts if region.name == name)
+
+    def follow(self) -> None:
+        """Solves what equations at points determine, before DOLFINx assembles. Collective."""
+        for part in self._regions.values():
+            part.follow()
+
+    def lost(self, name: str) -> int:
+        """Points of a region whose equations had no root that was found last. Collective."""
+        return int(total(self._comm, self._regions[name].lost if name in self._regions else 0))
 
     @property
     def passes(self) -> bool:
@@ -339,7 +422,8 @@ class History:
         (test,), w = form.arguments(), self._w
         ours = test.ufl_function_space() == w.function_space
         if ours and all(can_be_packed(field, w) for field in form.coefficients()):
-            return CellIntegrals(compiled, w, options(self._comm)).add_to
+            used = form.coefficients()
+            return CellIntegrals(compiled, w, options(self._comm), used).add_to
         return lambda part: fem.assemble_vector(part, compiled)
 
     def _forces(self) -> FloatArray:
@@ -384,6 +468,7 @@ class History:
 
     def _dissipated(self) -> float:
         """What has become heat since the beginning [J]. Collective."""
+        self.follow()
         return float(total(self._comm, float(fem.assemble_scalar(self._lost))))
 
     def _over_step(self, now: FloatArray) -> tuple[float, float]:

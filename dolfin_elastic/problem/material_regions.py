@@ -372,7 +372,8 @@ def shear_modulus(law: Law) -> float:
     """Shear modulus at small strains, of anisotropic laws a mean [Pa]."""
     if (known := law.small_strain()) is not None:
         return known.mu
-    from dolfin_elastic.model.point.checks import LawUnderTest, voigt
+    from dolfin_elastic.model.point.checks import voigt
+    from dolfin_elastic.model.point.tested import LawUnderTest
 
     with np.errstate(all="ignore"):
         stiffness = voigt(LawUnderTest(law).rest)
@@ -399,7 +400,9 @@ def check_user_energies(laws: Mapping[str, Law], comm: MPI.Comm) -> None:
         # Constants that vary in space have no values yet: after binding their means are checked.
         if not law.written or law.spatial_constants():
             continue
+        from dolfin_elastic.model.materials.user import UserEnergy
         from dolfin_elastic.model.point.checks import check_energy
 
+        assert isinstance(law, UserEnergy)
         with keyed(key):
-            on_root(comm, partial(check_energy, law))
+            law.mark_checked(symmetric=on_root(comm, partial(check_energy, law)))

@@ -338,6 +338,7 @@ class Problem(Shown):
         """
         of_a_state = self.weak_form.start is None
         potentials = self.has_energy and all(term.symmetric for term in self.terms)
+        potentials &= all(region.given.symmetric_steps for region in self.regions)
         return of_a_state and potentials and all(map(self._conservative, self.loads))
 
     def _conservative(self, load: Load) -> bool:

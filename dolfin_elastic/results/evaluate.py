@@ -244,9 +244,11 @@ class StateSource:
                 "equilibrium",
                 expected=f"the field '{name}' exists in statics only",
             )
+        problem = self.evaluator.problem
+        if problem.history is not None:
+            problem.history.follow()
         force = fem.assemble_vector(self.evaluator.residual)
         force.scatter_reverse(la.InsertMode.add)
-        problem = self.evaluator.problem
         moves = problem.unknowns.displacement_dofs
         force.array[moves] = problem.constraints.collect(force.array[moves])
         force.scatter_forward()  # nodes of periodic faces may be unknowns of another rank

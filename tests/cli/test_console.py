@@ -16,8 +16,8 @@ from dolfin_elastic.cli.console import (
     console,
 )
 from dolfin_elastic.cli.console_materials import report_table
-from dolfin_elastic.model.point.checks import Finding
 from dolfin_elastic.model.point.report import MaterialReport
+from dolfin_elastic.model.point.tested import Finding
 from dolfin_elastic.problem.state import State
 
 

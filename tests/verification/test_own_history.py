@@ -30,7 +30,9 @@ from dolfin_elastic.case.check.consistency import check
 from dolfin_elastic.case.check.materials import material_information
 from dolfin_elastic.case.tables import Material
 from dolfin_elastic.core.errors import InputError
-from dolfin_elastic.model.point.checks import LawUnderTest, check_energy, history
+from dolfin_elastic.model.point.checks import check_energy
+from dolfin_elastic.model.point.history import history
+from dolfin_elastic.model.point.tested import LawUnderTest
 from dolfin_elastic.problem.state import State
 from dolfin_elastic.solvers.eigen.modal import Modal
 
@@ -341,7 +343,11 @@ def test_a_case_is_read_and_written_back() -> None:
 
 
 WRONG = {
-    "no next": ({"next": None}, "materials.gel.next: a history without `next`"),
+    "no next": (
+        {"next": None},
+        "materials.gel.history: a history, and nothing says how it follows; next, values",
+    ),
+    "next and rate": ({"rate": {"Wm": "0"}}, "materials.gel.rate: `next` beside `rate`"),
     "no history": ({"history": None}, "materials.gel.history: `next` without a history"),
     "unknown": (
         {"next": {"Wn": "Wm"}},
@@ -354,8 +360,8 @@ WRONG = {
     "name in next": ({"next": {"Wm": "max(Vm, I1)"}}, "materials.gel.next.Wm: unknown name 'Vm'"),
     "name in energy": ({"energy": f"{SOFT} + r*m*Wn"}, "materials.gel.energy: unknown name 'Wn'"),
     "tensor": (
-        {"history": {"Wm": "I"}},
-        "materials.gel.history.Wm: a tensor, and formulas are of scalars",
+        {"history": {"Wm": "I"}, "energy": f"{SOFT} + r*m*tr(Wm)", "next": {"Wm": "I1"}},
+        "materials.gel.next.Wm: a number; a tensor, as Wm is in history",
     ),
     "start": ({"history": {"Wm": "1 MPa"}}, "materials.gel.history.Wm: '1 MPa' is no start"),
     "taken": ({"history": {"J": 0}, "next": {"J": "0"}}, "history.J: the name 'J' is in use"),
@@ -406,7 +412,7 @@ def grows(I1: Any, J: Any, Cv: Any, mu: Any) -> Any:
 
 
 IN_PYTHON: dict[str, tuple[dict[str, Any], str]] = {
-    "no next": ({"next": None}, "next: `history` without `next`"),
+    "no next": ({"next": None}, "history: a history, and nothing says how it follows"),
     "no table": ({"next": lambda C: C}, "next: the function returned no table of values"),
     "shape": ({"next": lambda J: {"Cv": J}}, "next.Cv: a value of shape ()"),
     "unknown": ({"next": lambda C: {"Cw": C}}, "next.Cw: there is no history 'Cw'"),

@@ -33,7 +33,7 @@ def _ageing(case: Case) -> Iterator[str]:
     own = {name: m.law for name, m in case.materials.items() if m.law.memory and m.law.written}
     if not own:
         return
-    from dolfin_elastic.model.point.checks import changes_at_rest
+    from dolfin_elastic.model.point.history import changes_at_rest
 
     for name, law in own.items():
         if change := changes_at_rest(law):

@@ -8,7 +8,7 @@ one cell, or, where there are many, of some cells at once, see `Kernel`.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
@@ -134,6 +134,24 @@ class _Room:
         return cls((at, first, len(rows) // 5, np.array(rows, dtype=np.int64)), kept)
 
 
+class Following(fem.Function):
+    """A coefficient that follows from the unknowns: it is found before a kernel reads it."""
+
+    def prepare(self) -> None:
+        """Compiles what finds it, once. Collective."""
+
+    def follow(self) -> None:
+        """Takes the values that belong to the present unknowns. Not collective."""
+
+
+def following(coefficients: Iterable[object]) -> list[Following]:
+    """Those of a form's coefficients that follow from the unknowns, prepared. Collective."""
+    result = [one for one in coefficients if isinstance(one, Following)]
+    for one in result:
+        one.prepare()
+    return result
+
+
 def can_be_packed(coefficient: object, w: fem.Function) -> bool:
     """Whether the loops here can hand a coefficient of a form to a kernel.
 
@@ -153,10 +171,18 @@ class CellIntegrals:
     Args:
         form: Of one test function in the space of the unknowns, or of none; its coefficients
             `can_be_packed`.
+        coefficients: Of the form in UFL.
     """
 
-    def __init__(self, form: fem.Form, w: fem.Function, jit_options: JitOptions) -> None:
+    def __init__(
+        self,
+        form: fem.Form,
+        w: fem.Function,
+        jit_options: JitOptions,
+        coefficients: Iterable[object] = (),
+    ) -> None:
         self._form, self._w = form, w
+        self._following = following(coefficients)
         self._elements = _elements(w)
         self._room = _Room.of(form._cpp_object.coefficients, w)
         self._integrals = [
@@ -190,6 +216,8 @@ class CellIntegrals:
         return float(out[0])
 
     def _call(self, loop: str, constants: FloatArray, out: FloatArray) -> None:
+        for coefficient in self._following:
+            coefficient.follow()
         w = self._w.x.array
         unknowns = (*self._elements, len(w), w, *self._room.arguments)
         for one in self._integrals:
@@ -218,6 +246,7 @@ class CellExpression:
         points: Of the reference cell, shape (points, dim).
         loops: What is to be done with it; by default it can only be evaluated, and else not,
             where it has a kernel.
+        follows: Coefficients that follow from the unknowns are found before.
 
     Attributes:
         size: Numbers in a cell: points times components.
@@ -232,6 +261,8 @@ class CellExpression:
         w: fem.Function,
         jit_options: JitOptions,
         loops: Loops | None = None,
+        *,
+        follows: bool = True,
     ) -> None:
         comm = w.function_space.mesh.comm
         self._expression, library = expression_and_module(comm, expression, points, jit_options)
@@ -239,6 +270,7 @@ class CellExpression:
         coefficients = extract_coefficients(self._expression.ufl_expression)
         positions = compiled.original_coefficient_positions
         used = [coefficients[positions[i]] for i in range(compiled.num_coefficients)]
+        self._used, self._following = used, following(used) if follows else []
         self._w, self.kernel, self.in_lanes = w, None, False
         if all(can_be_packed(one, w) for one in used):
             self.kernel = _function(compiled.tabulate_tensor_float64, library, 0)
@@ -264,10 +296,21 @@ class CellExpression:
             cells: Local cells.
             arguments: What else it takes.
         """
+        for one in self._following:
+            one.follow()
         w, constants, address = self._w.x.array, self.constants, (self.kernel or NO_KERNEL).address
         where = (address, len(cells), cells, *self._elements, len(w), w)
         room = self._room.arguments
         return self.loops.call(name, *where, *room, len(constants), constants, *arguments)
+
+    def place_of(self, coefficient: fem.Function) -> int:
+        """Where the numbers of a coefficient begin among those of a cell; below 0: it has none."""
+        at = 0
+        for one in self._used:
+            if one is coefficient:
+                return at
+            at += int(one.function_space.element.space_dimension)
+        return -1
 
     def eval(self, cells: IndexArray, out: FloatArray | None = None) -> FloatArray:
         """Values in cells, shape (cells, size). Not collective.
@@ -277,6 +320,8 @@ class CellExpression:
             out: Room for them, of that shape.
         """
         out = np.empty((len(cells), self.size)) if out is None else out
+        for one in self._following:
+            one.follow()
         if self.kernel is None:
             values = self._expression.eval(self._w.function_space.mesh, cells)
             out[:] = values.reshape(out.shape)  # 0.11 has axes of points and of components

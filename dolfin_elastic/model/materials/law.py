@@ -338,6 +338,11 @@ class Law(Branched):
         return kind.memory is Law.memory and kind.branches is not Law.branches and self.has_energy
 
     @property
+    def symmetric_steps(self) -> bool:
+        """The tangent is symmetric over a time step, too, where there is an energy."""
+        return True
+
+    @property
     def own_memory(self) -> Memory | None:
         """What it remembers beside `viscous`; None: nothing."""
         return None

@@ -8,7 +8,7 @@ once.  Both are UFL; where the values are kept is the affair of `problem.history
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Literal
 
@@ -30,11 +30,13 @@ class Variable:
     Attributes:
         shape: A full tensor has nine numbers, a symmetric one six; both are 3x3.
         start: Its value in the body at rest: of a tensor this number times the identity.
+        unimodular: Its determinant is 1 and stays so.
     """
 
     name: str
     shape: Literal["scalar", "symmetric", "tensor"] = "scalar"
     start: float = 0.0
+    unimodular: bool = False
 
     @property
     def size(self) -> int:
@@ -147,3 +149,84 @@ class Memory(ABC):
             found: Of `found`, at its end.
         """
         return found
+
+
+@dataclass(frozen=True)
+class Root:
+    """Unknowns z of a step at a point, of which equations r(F, z) = 0 hold.
+
+    Before a form is evaluated z and K, the inverse of dr/dz there, are found.  Stresses are written
+    with z - K r(F, z): its value is z, and its derivative by F is that of the root, -K dr/dF, by
+    the implicit function theorem.  So UFL derives the consistent tangent from it, as it does of
+    laws in closed form.
+
+    Attributes:
+        variables: Which z has, in the order of its numbers.
+        found: z, a UFL vector.
+        inverse: K, a UFL vector, row by row.
+    """
+
+    variables: tuple[Variable, ...]
+    found: Expr
+    inverse: Expr
+
+    @property
+    def size(self) -> int:
+        """How many numbers z has."""
+        return sum(v.size for v in self.variables)
+
+    def values(self, numbers: Expr) -> dict[str, Expr]:
+        """The quantities, from a UFL vector of their numbers."""
+        result, at = dict[str, Expr](), 0
+        for v in self.variables:
+            result[v.name] = v.value(ufl.as_vector([numbers[at + i] for i in range(v.size)]))
+            at += v.size
+        return result
+
+    def residual(self, equations: Equations, numbers: Expr) -> Expr:
+        """r, a UFL vector, of the numbers of z."""
+        return in_a_row(self.variables, equations(self.values(numbers)))
+
+    def to_solve(self, equations: Equations) -> Expr:
+        """r and dr/dz, row by row, at `found`, as one UFL vector."""
+        z = ufl.variable(self.found)
+        r, n = self.residual(equations, z), range(self.size)
+        J = ufl.diff(r, z)
+        return ufl.as_vector([r[i] for i in n] + [J[i, j] for i in n for j in n])
+
+    def numbers(self, equations: Equations) -> Expr:
+        """z - K r, a UFL vector."""
+        r, n = self.residual(equations, self.found), range(self.size)
+        step = [sum(self.inverse[self.size * i + j] * r[j] for j in n) for i in n]
+        return ufl.as_vector([self.found[i] - step[i] for i in n])
+
+
+Equations = Callable[[Mapping[str, Expr]], Mapping[str, Expr]]
+"""What is zero, of the shapes of the unknowns, by the names of these."""
+
+
+class ImplicitMemory(Memory):
+    """A memory of which equations at each point say how it follows from a step.
+
+    Attributes:
+        unknowns: Of the equations; their values in `variables` of the same names are those from
+            which an iteration begins.
+    """
+
+    unknowns: tuple[Variable, ...]
+
+    @abstractmethod
+    def with_root(
+        self, past: Mapping[str, Expr], step: Mapping[str, Expr], root: Root
+    ) -> ImplicitStep:
+        """The law over a step, see `over_step`, with its unknowns."""
+
+
+class ImplicitStep(OverStep):
+    """What a law over a step gives whose unknowns equations determine."""
+
+    root: Root
+
+    @abstractmethod
+    def equations(self, F: Expr) -> Equations:
+        """See `Root`."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import re
 from abc import abstractmethod
 from collections.abc import Callable, Collection, Mapping
 from typing import Any, ClassVar, Self, TypeVar, cast
@@ -22,9 +23,19 @@ from dolfin_elastic.model.materials import spatial
 from dolfin_elastic.model.materials.isochoric import Volumetric
 from dolfin_elastic.model.materials.spatial import Direction
 from dolfin_elastic.model.materials.written import names as user_names
-from dolfin_elastic.model.materials.written.history import DT, Remembering, check_next
+from dolfin_elastic.model.materials.written.history import (
+    DT,
+    Remembering,
+    check_names,
+    old,
+    which,
+)
 
 T = TypeVar("T")
+
+_SMALL = re.compile(rf"\b{user_names.SMALL}\b")
+FOLLOWING = ("next", "rate", "residual")
+"""Keys that say how a history follows; one of them is given."""
 
 
 class UserEnergy(Remembering):
@@ -46,6 +57,7 @@ class UserEnergy(Remembering):
     limited: ClassVar[bool] = True  # as far as is known
 
     _checked: bool = PrivateAttr(default=False)
+    _symmetric: bool = PrivateAttr(default=False)
 
     @field_validator("parameters", mode="before")
     @classmethod
@@ -76,9 +88,18 @@ class UserEnergy(Remembering):
         """The energy has passed `model.point.checks.check_energy`."""
         return self._checked
 
-    def mark_checked(self) -> None:
-        """Records that the energy has passed the checks, which are made once."""
-        self._checked = True
+    def mark_checked(self, *, symmetric: bool) -> None:
+        """Records that the energy has passed the checks, which are made once.
+
+        Args:
+            symmetric: See `symmetric_steps`.
+        """
+        self._checked, self._symmetric = True, symmetric
+
+    @property
+    def symmetric_steps(self) -> bool:
+        """See `Law`: what is not known is not."""
+        return self._symmetric or not self.evolves
 
     def constants(self) -> dict[str, float | list[float]]:
         """See `Law.constants`; parameters have a dot in their names."""
@@ -115,8 +136,9 @@ class UserEnergy(Remembering):
         return self.written_energy(F)
 
     def _values(self, F: Expr, wanted: Collection[str]) -> dict[str, Expr]:
-        of_F = user_names.values(F, wanted, fibre=self.fibre, fibre2=self.fibre2)
-        return of_F | self.past_values(wanted)
+        named = set(wanted) - set(self.parameters)
+        of_F = user_names.values(F, named, fibre=self.fibre, fibre2=self.fibre2)
+        return of_F | self.past_values(named)
 
 
 class UserVolumetric(Volumetric):
@@ -154,40 +176,56 @@ class FormulaEnergy(UserEnergy):
 
     Attributes:
         formula: Energy per reference volume [J/m^3]; the key is `energy`.
-        next: Name of history to a formula of its value at the end of a time step.
+        next: Name of history to a formula of its value at the end of a time step, of values at its
+            start; the energy, too, has values at the start then.
+        rate: Name of history to a formula of its derivative by time.
+        residual: Name of history to a formula that is zero at the end of a time step; h is a value
+            at its end, h_old at its start, as with `rate`.
     """
 
     formula: str = Field(validation_alias="energy", serialization_alias="energy")
     next: dict[str, str] = Field(default={})
+    rate: dict[str, str] = Field(default={})
+    residual: dict[str, str] = Field(default={})
+
+    @property
+    def _following(self) -> tuple[str, dict[str, str]] | None:
+        """The key that says how the history follows, and its formulas."""
+        tables = {"next": self.next, "rate": self.rate, "residual": self.residual}
+        key = which(tables, history=bool(self.history))
+        return None if key is None else (key, tables[key])
 
     @model_validator(mode="after")
     def _follows(self) -> Self:
-        for name, variable in self.history.items():
-            if variable.shape != "scalar":
-                raise InputError(
-                    "a tensor, and formulas are of scalars",
-                    where=f"history.{name}",
-                    expected="a number for each component; or Energy in Python, which has tensors",
-                )
-        if self.history and not self.next:
-            raise InputError(
-                "a history without `next`",
-                where="next",
-                expected=f'{{{", ".join(self.history)} = "..."}}, values at the end of a step',
-            )
-        if self.next and not self.history:
-            raise InputError(
-                "`next` without a history",
-                where="history",
-                expected=f"{{{', '.join(self.next)} = 0}}, values in the body at rest",
-            )
-        check_next(self.history, self.next)
+        if self._following is not None:
+            key, formulas = self._following
+            check_names(self.history, formulas, key)
+            for name in formulas:
+                self._of_shape(key, name)
         return self
+
+    def _of_shape(self, key: str, name: str) -> None:
+        """Checks that a formula of the history has the shape of the variable."""
+        tensor = self.history[name].shape != "scalar"
+        if self._following_parsed[name].tensor != tensor:
+            raise InputError(
+                "a number" if tensor else "a tensor",
+                where=f"{key}.{name}",
+                expected=f"a {'tensor' if tensor else 'number'}, as {name} is in history",
+            )
 
     @model_validator(mode="after")
     def _understood(self) -> Self:
         read = self.parsed
-        names = read.names.union(*(formula.names for formula in self.parsed_next.values()))
+        if read.tensor:
+            raise InputError("a tensor", where="energy", expected="a number, for example tr(C)")
+        if self.evolves and not read.names & set(self.history):
+            raise InputError(
+                "the energy does not use the history",
+                where="energy",
+                expected=f"a term of {', '.join(self.history)}; or `next`, where it only counts",
+            )
+        names = read.names.union(*(one.names for one in self._following_parsed.values()))
         for name in self.parameters:
             if name not in names:
                 raise InputError(
@@ -225,16 +263,23 @@ class FormulaEnergy(UserEnergy):
         return self._parsed(self.formula, "energy")
 
     @property
-    def parsed_next(self) -> dict[str, Formula]:
-        """The parsed formulas of `next`, as `parsed` is."""
-        return {name: self._parsed(text, f"next.{name}") for name, text in self.next.items()}
+    def _following_parsed(self) -> dict[str, Formula]:
+        """The parsed formulas of `next`, `rate` or `residual`, as `parsed` is."""
+        if self._following is None:
+            return {}
+        key, formulas = self._following
+        return {name: self._parsed(text, f"{key}.{name}") for name, text in formulas.items()}
 
     def _parsed(self, text: str, where: str) -> Formula:
         fibres = {"fibre": self.fibre is not None, "fibre2": self.fibre2 is not None}
         names = user_names.known(**fibres)
         _check_names(self.parameters, self.history, names)
+        own = {name for name, v in self.history.items() if v.shape != "scalar"}
+        tensors = self.of_history & {*own, *map(old, own)}
+        tensors |= user_names.OF_TENSORS - set(self.parameters)
+        allowed = names | set(self.parameters) | self.of_history
         try:
-            return Formula.parse(text, allowed=names | set(self.parameters) | self.of_history)
+            return Formula.parse(text, allowed=allowed | tensors, tensors=tensors)
         except FormulaError as error:
             raise self._shorter_list(error).at(where) from None
 
@@ -264,15 +309,45 @@ class FormulaEnergy(UserEnergy):
     @property
     def timed(self) -> bool:
         """See `Remembering`."""
-        formulas = (self.parsed, *self.parsed_next.values())
-        return any(DT in formula.names for formula in formulas) if self.history else False
+        formulas = (self.parsed, *self._following_parsed.values())
+        return bool(self.rate) or (
+            bool(self.history) and any(DT in formula.names for formula in formulas)
+        )
 
-    def next_values(self, F: Expr) -> dict[str, Expr]:
+    @property
+    def follows_by(self) -> str | None:
+        """See `Remembering`."""
+        return None if self._following is None else self._following[0]
+
+    def following(self, F: Expr) -> dict[str, Expr]:
         """See `Remembering`."""
         return {
             name: as_ufl(read.ufl(**self._values(F, read.names), **self.parameters))
-            for name, read in self.parsed_next.items()
+            for name, read in self._following_parsed.items()
         }
+
+
+class SmallStrainEnergy(FormulaEnergy):
+    """A formula of the infinitesimal strain eps, with a history, for small strains and rotations.
+
+    energy = "K/2*tr(eps)^2 + mu*inner(dev(eps) - ep, dev(eps) - ep)"
+    history = {ep = "0"}
+    """
+
+    linear: ClassVar[bool] = True
+    frame_indifferent: ClassVar[bool] = False
+    follows_large: ClassVar[str] = "formulas of C or E follow large ones"
+
+    @model_validator(mode="after")
+    def _remembers(self) -> Self:
+        if not self.history:
+            raise InputError(
+                f"a formula of {user_names.SMALL} without a history",
+                where="energy",
+                expected="E, which is the same at small strains and right at large rotations; or "
+                'law = "linear-elastic"',
+            )
+        return self
 
 
 class SplitFormulaEnergy(UserVolumetric, FormulaEnergy):
@@ -288,10 +363,12 @@ def _check_names(
     parameters: Collection[str], history: Collection[str], taken: frozenset[str]
 ) -> None:
     """Checks that parameters and history have names of their own."""
+    before = set(map(old, history))
     for name in parameters:
-        _check_name(name, taken | {*history, DT} if history else taken, f"parameters.{name}")
+        others = taken | {*history, *before, DT} if history else taken
+        _check_name(name, others, f"parameters.{name}")
     for name in history:
-        _check_name(name, taken | {DT}, f"history.{name}")
+        _check_name(name, taken | {*before, DT}, f"history.{name}")
 
 
 def _check_name(name: str, taken: frozenset[str], where: str) -> None:
@@ -321,7 +398,15 @@ def read_energy(table: Mapping[str, object]) -> FormulaEnergy:
             expected='add volumetric = "quadratic", "log" or "simo-taylor", or put K into '
             "parameters",
         )
-    return (SplitFormulaEnergy if split else FormulaEnergy)(**table)
+    if not _SMALL.search(str(table.get("energy"))):
+        return (SplitFormulaEnergy if split else FormulaEnergy)(**table)
+    if split:
+        raise InputError(
+            f"a volumetric part, which is of J, beside a formula of {user_names.SMALL}",
+            where="volumetric",
+            expected=f"leave it out, and add K/2*tr({user_names.SMALL})^2 to the energy",
+        )
+    return SmallStrainEnergy(**table)
 
 
 # --- in Python ---
@@ -345,10 +430,14 @@ class Energy(UserEnergy):
     Attributes:
         function: Energy per reference volume [J/m^3] as a UFL expression.
         next: Of what is remembered, `history`, the values at the end of a time step by name.
+        rate: Or their derivatives by time, see `FormulaEnergy`.
+        residual: Or what is zero at the end of a time step.
     """
 
     function: Callable[..., Expr]
     next: Callable[..., Mapping[str, Expr]] | None = None
+    rate: Callable[..., Mapping[str, Expr]] | None = None
+    residual: Callable[..., Mapping[str, Expr]] | None = None
 
     _in_place: Mapping[Coefficient, Expr] = PrivateAttr(default={})
 
@@ -365,19 +454,13 @@ class Energy(UserEnergy):
         "fibre",
         "fibre2",
         "history",
-        "next",
+        *FOLLOWING,
     )
 
     def __init__(self, function: Callable[..., Expr], **given: Any) -> None:
         keys = {key: given.pop(key) for key in self.own_keys if key in given}
-        for key, other in (("history", "next"), ("next", "history")):
-            if keys.get(key) is not None and keys.get(other) is None:
-                raise InputError(
-                    f"`{key}` without `{other}`",
-                    where=other,
-                    expected='history={"h": 0.0, "Cv": np.eye(3)}, and next=lambda F, h, Cv, dt: '
-                    '{"h": ..., "Cv": ...}',
-                )
+        written = {key: keys.get(key) for key in FOLLOWING}
+        which(written, history=keys.get("history") is not None)
         super().__init__(
             function=function, parameters=_parameter_values(function, given, keys), **keys
         )
@@ -389,7 +472,7 @@ class Energy(UserEnergy):
         numbers = dict.fromkeys(super().spatial_constants(), 1.0)
         law, F = UserEnergy.with_values(self, numbers), gradient_symbol()
         used = dict.fromkeys(extract_coefficients(law.energy(F)))
-        for value in law.next_values(F).values():
+        for value in law.following(F).values():
             used |= dict.fromkeys(extract_coefficients(value))
         return {f"used.{i}": f for i, f in enumerate(used)}
 
@@ -426,34 +509,46 @@ class Energy(UserEnergy):
     @property
     def timed(self) -> bool:
         """See `Remembering`."""
-        return bool(self.history) and any(
-            DT in inspect.signature(f).parameters for f in (self.function, self.next) if f
+        functions = [self.function, *(f for _, f in self._following)]
+        return self.by_rate or (
+            bool(self.history) and any(DT in inspect.signature(one).parameters for one in functions)
         )
 
-    def next_values(self, F: Expr) -> dict[str, Expr]:
+    @property
+    def _following(self) -> list[tuple[str, Callable[..., Mapping[str, Expr]]]]:
+        """The key that says how the history follows, with its function."""
+        functions = ((key, getattr(self, key)) for key in FOLLOWING)
+        return [(key, function) for key, function in functions if function is not None]
+
+    @property
+    def follows_by(self) -> str | None:
+        """See `Remembering`."""
+        return self._following[0][0] if self._following else None
+
+    def following(self, F: Expr) -> dict[str, Expr]:
         """See `Remembering`.
 
         Raises:
-            InputError: `next` returned no table of the names of history, or a value of another
-                shape.
+            InputError: It returned no table of the names of history, or a value of another shape.
         """
-        if self.next is None:
+        if not self._following:
             return {}
-        table = self._called(self.next, F)
+        ((key, function),) = self._following
+        table = self._called(function, F)
         if not isinstance(table, Mapping):
             raise InputError(
                 "the function returned no table of values",
-                where="next",
+                where=key,
                 expected=f"{{'{next(iter(self.history))}': ..., ...}}",
             )
-        check_next(self.history, table)
+        check_names(self.history, table, key)
         values = {name: as_ufl(value) for name, value in table.items()}
         for name, value in values.items():
             wanted = () if self.history[name].shape == "scalar" else (3, 3)
             if value.ufl_shape != wanted:
                 raise InputError(
                     f"a value of shape {value.ufl_shape}",
-                    where=f"next.{name}",
+                    where=f"{key}.{name}",
                     expected=f"shape {wanted}, that of its start in history",
                 )
         return {name: replace(value, dict(self._in_place)) for name, value in values.items()}
@@ -472,11 +567,12 @@ def _parameter_values(
     fibres = {"fibre": "fibre" in keys, "fibre2": "fibre2" in keys}
     known = user_names.known(**fibres) | {*user_names.TENSORS}
     arguments = dict(inspect.signature(function).parameters)
-    following, history = keys.get("next"), keys.get("history")
+    history = keys.get("history")
+    following = next((keys[key] for key in FOLLOWING if keys.get(key) is not None), None)
     if callable(following) and isinstance(history, Mapping):
         arguments = {**inspect.signature(following).parameters, **arguments}
         _check_names((), history, known)
-        known |= {*history, DT}
+        known |= {*history, *map(old, history), DT}
     wanted = [name for name in arguments if name not in known]
     defaults = {
         name: arguments[name].default

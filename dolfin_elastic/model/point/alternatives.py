@@ -12,8 +12,8 @@ from dolfin_elastic.model.materials.laws.fixed_corotated import FixedCorotated
 from dolfin_elastic.model.materials.laws.hencky import Hencky
 from dolfin_elastic.model.materials.laws.neo_hookean import NeoHookean
 from dolfin_elastic.model.materials.moduli import Isotropic
-from dolfin_elastic.model.point.checks import with_finite_moduli
 from dolfin_elastic.model.point.ellipticity import acoustic_eigenvalues
+from dolfin_elastic.model.point.tested import with_finite_moduli
 from dolfin_elastic.model.point.ufl_to_numpy import LawAtPoints
 
 LARGE_STRAINS: tuple[type[Isotropic], ...] = (

@@ -6,108 +6,33 @@ long one.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
-from functools import cached_property
-from typing import Literal, TypeAlias
+from collections.abc import Callable, Iterator
+from typing import TypeAlias
 
 import numpy as np
-import ufl
-from ufl.algorithms import expand_derivatives
 
 from dolfin_elastic.core.errors import InputError, keyed
 from dolfin_elastic.core.si_text import percent, quantity
-from dolfin_elastic.core.types import AnyArray, FloatArray
-from dolfin_elastic.model.kinematics import gradient_symbol
-from dolfin_elastic.model.materials.law import Law, SplitLaw
+from dolfin_elastic.core.types import AnyArray
+from dolfin_elastic.model.materials.law import Law
 from dolfin_elastic.model.materials.moduli import Isotropic
 from dolfin_elastic.model.materials.plasticity import Plastic
 from dolfin_elastic.model.materials.user import UserEnergy
-from dolfin_elastic.model.materials.written.history import DT, Remembering, opaque
-from dolfin_elastic.model.point.ufl_to_numpy import LawAtPoints, NumpyProgram
+from dolfin_elastic.model.materials.written.history import Remembering
+from dolfin_elastic.model.point.history import history
+from dolfin_elastic.model.point.tested import (
+    ROUND_OFF,
+    Finding,
+    I,
+    LawUnderTest,
+    found,
+    note,
+    relative,
+)
 from dolfin_elastic.model.point.viscous_curves import viscous_curves
 
-I = np.eye(3)  # noqa: E741  of the textbooks
-ROUND_OFF = 1e-9
-"""Of the stiffness at rest; regularised principal stretches leave about 1e-12."""
 _DIFFERENCES = 1e-6
 _STEP = 1e-3
-_NEARLY_RIGID = 1e4
-"""Bulk over shear stiffness that stands for an infinite one."""
-
-
-@dataclass(frozen=True)
-class Finding:
-    """What one check found.
-
-    Attributes:
-        check: What was checked.
-        verdict: `fail` ends a run of a user's energy; a `note` is no fault.
-        text: The numbers, or the reason.
-        values: The numbers, for scripts.
-    """
-
-    check: str
-    verdict: Literal["pass", "fail", "note"]
-    text: str
-    values: Mapping[str, object]
-
-
-def _found(check: str, good: bool, text: str, **values: object) -> Finding:
-    return Finding(check, "pass" if good else "fail", text, values)
-
-
-def _note(check: str, text: str, **values: object) -> Finding:
-    return Finding(check, "note", text, values)
-
-
-def with_finite_moduli(law: Law) -> Law:
-    """The law itself, or with a large number in place of an infinite modulus."""
-    endless = [n for n, value in vars(law).items() if isinstance(value, float) and np.isinf(value)]
-    if not endless or not isinstance(law, SplitLaw):
-        return law
-    shape = law.model_copy(update=dict.fromkeys(endless, 0.0))
-    size = float(np.abs(LawAtPoints(shape).tangent(I[None])).max())
-    return law.model_copy(update=dict.fromkeys(endless, _NEARLY_RIGID * size))
-
-
-class LawUnderTest:
-    """A law with the deformation gradients at which it is checked.
-
-    Args:
-        law: Any law with numbers; an infinite modulus is replaced by a large one.
-    """
-
-    def __init__(self, law: Law) -> None:
-        self.given, self.law = law, with_finite_moduli(law)
-        self.point = LawAtPoints(self.law)
-        draw = np.random.default_rng(7).uniform(-1, 1, (12, 3, 3))
-        self.near = I + 0.03 * draw[:6]
-        self._far = I + 0.2 * draw[6:]
-        turned, _ = np.linalg.qr(np.random.default_rng(8).standard_normal((12, 3, 3)))
-        self.rotations = turned * np.linalg.det(turned)[:, None, None]
-
-    @cached_property
-    def samples(self) -> AnyArray:
-        """Deformation gradients, shape (n, 3, 3): small, and larger ones with finite stress."""
-        fine = np.isfinite(self.point.stress(self._far)).all(axis=(1, 2))
-        return np.concatenate([self.near, self._far[fine]])
-
-    @cached_property
-    def rest(self) -> AnyArray:
-        """Tangent at F = I [Pa], shape (3, 3, 3, 3)."""
-        return self.point.tangent(I[None])[0]
-
-    @cached_property
-    def scale(self) -> float:
-        """Stiffness by which errors are divided [Pa]."""
-        sizes = [float(np.abs(a).max()) for a in (self.rest, self.point.tangent(self.near))]
-        return next((s for s in sizes if np.isfinite(s) and s > 0), 1.0)
-
-    @property
-    def frame_indifferent(self) -> bool:
-        """The law claims to be frame-indifferent."""
-        return self.law.frame_indifferent
 
 
 # --- at rest ---
@@ -116,12 +41,12 @@ class LawUnderTest:
 def rest_energy(tested: LawUnderTest) -> Iterator[Finding]:
     """psi(I) = 0."""
     if not tested.law.has_energy:
-        yield _note("no energy at rest", "the law has no energy")
+        yield note("no energy at rest", "the law has no energy")
         return
     psi = float(tested.point.energy(I[None])[0])
     good = abs(psi) <= ROUND_OFF * tested.scale
     hint = "" if good else f"; subtract {psi:.10g} from the energy"
-    yield _found("no energy at rest", good, f"psi(I) = {psi:.3g} J/m^3{hint}", psi=psi)
+    yield found("no energy at rest", good, f"psi(I) = {psi:.3g} J/m^3{hint}", psi=psi)
 
 
 def rest_stress(tested: LawUnderTest) -> Iterator[Finding]:
@@ -130,7 +55,7 @@ def rest_stress(tested: LawUnderTest) -> Iterator[Finding]:
     size = float(np.abs(P).max())
     good = size <= ROUND_OFF * tested.scale
     hint = "" if good else _balance(P)
-    yield _found(
+    yield found(
         "no stress at rest", good, f"largest of P(I) = {quantity(size, 'Pa')}{hint}", P=size
     )
 
@@ -154,9 +79,9 @@ def finite(tested: LawUnderTest) -> Iterator[Finding]:
         if bad.any():
             place = "at rest" if bad[0] else "at strains of a few per cent"
             place += _at_once(tested.given)
-            yield _found("finite values", False, f"the {name} is not finite {place}")
+            yield found("finite values", False, f"the {name} is not finite {place}")
             return
-    yield _found("finite values", True, "energy, stress and stiffness near the rest")
+    yield found("finite values", True, "energy, stress and stiffness near the rest")
 
 
 def _at_once(law: Law) -> str:
@@ -183,7 +108,7 @@ def stable(tested: LawUnderTest) -> Iterator[Finding]:
         text += f"; {what} is not resisted"
         if isinstance(tested.given, UserEnergy):
             text += f": {_HINT_VOLUME if volume else _HINT_SHAPE}"
-    yield _found("stable at rest", good, text, ratio=ratio)
+    yield found("stable at rest", good, text, ratio=ratio)
 
 
 # --- symmetries ---
@@ -194,21 +119,21 @@ def objectivity(tested: LawUnderTest) -> Iterator[Finding]:
     F, name = tested.samples, "frame indifference"
     Q = tested.rotations[: len(F)]
     P, far = tested.point.stress(F), tested.point.stress(Q @ F)
-    error = _relative(far, Q @ P, tested.scale)
+    error = relative(far, Q @ P, tested.scale)
     if tested.law.has_energy:
         first, second = tested.point.energy(F), tested.point.energy(Q @ F)
-        error = max(error, _relative(first, second, 1e-3 * tested.scale))
+        error = max(error, relative(first, second, 1e-3 * tested.scale))
     if not tested.frame_indifferent:
-        yield _note(name, f"none, as the law says (error {error:.2g})", error=error)
+        yield note(name, f"none, as the law says (error {error:.2g})", error=error)
         return
     good = error <= 1e3 * ROUND_OFF
     text = f"largest difference {error:.2g}"
     if not good:
         text += "; write the energy in C, E or invariants: turning the body must not change it"
-    yield _found(name, good, text, error=error)
+    yield found(name, good, text, error=error)
     tau = P @ F.transpose(0, 2, 1)
-    skew = _relative(tau, tau.transpose(0, 2, 1), tested.scale)
-    yield _found(
+    skew = relative(tau, tau.transpose(0, 2, 1), tested.scale)
+    yield found(
         "symmetric Cauchy stress", skew <= 1e3 * ROUND_OFF, f"asymmetry {skew:.2g}", error=skew
     )
 
@@ -216,25 +141,25 @@ def objectivity(tested: LawUnderTest) -> Iterator[Finding]:
 def symmetric_tangent(tested: LawUnderTest) -> Iterator[Finding]:
     """A_ijkl = A_klij, if there is an energy."""
     A = tested.point.tangent(tested.samples)
-    skew = _relative(A, A.transpose(0, 3, 4, 1, 2), tested.scale)
+    skew = relative(A, A.transpose(0, 3, 4, 1, 2), tested.scale)
     if not tested.law.has_energy:
-        yield _note("symmetric tangent", f"no energy: asymmetry {skew:.2g}", error=skew)
+        yield note("symmetric tangent", f"no energy: asymmetry {skew:.2g}", error=skew)
         return
     good = skew <= 1e3 * ROUND_OFF
-    yield _found("symmetric tangent", good, f"asymmetry {skew:.2g}", error=skew)
+    yield found("symmetric tangent", good, f"asymmetry {skew:.2g}", error=skew)
 
 
 def material_symmetry(tested: LawUnderTest) -> Iterator[Finding]:
     """P(FQ) = P(F) Q for all rotations Q, or for those about the fibre."""
     error = _material_error(tested, tested.rotations)
     if error <= 1e3 * ROUND_OFF:
-        yield _found("isotropy", True, f"isotropic, to {error:.2g}", error=error)
+        yield found("isotropy", True, f"isotropic, to {error:.2g}", error=error)
         return
     fibre = getattr(tested.law, "fibre", None)
     if isinstance(tested.law, Isotropic):
-        yield _found("isotropy", False, f"an isotropic law is not: {error:.2g}", error=error)
+        yield found("isotropy", False, f"an isotropic law is not: {error:.2g}", error=error)
     elif fibre is None or getattr(tested.law, "fibre2", None) is not None:
-        yield _note("isotropy", f"anisotropic ({error:.2g})", error=error)
+        yield note("isotropy", f"anisotropic ({error:.2g})", error=error)
     else:
         axis = np.zeros(3)
         axis[: len(fibre)] = [float(part) for part in fibre]
@@ -250,10 +175,10 @@ def _material_error(tested: LawUnderTest, turns: AnyArray) -> float:
     if not tested.frame_indifferent:  # laws for small rotations: compare the stiffness at rest
         A = tested.rest
         turned = np.einsum("nai,nbj,nck,ndl,abcd->nijkl", *[turns] * 4, A, optimize=True)
-        return _relative(turned, np.broadcast_to(A, turned.shape), tested.scale)
+        return relative(turned, np.broadcast_to(A, turned.shape), tested.scale)
     F = tested.samples
     Q = turns[: len(F)]
-    return _relative(tested.point.stress(F @ Q), tested.point.stress(F) @ Q, tested.scale)
+    return relative(tested.point.stress(F @ Q), tested.point.stress(F) @ Q, tested.scale)
 
 
 def _about(a: AnyArray) -> AnyArray:
@@ -261,12 +186,6 @@ def _about(a: AnyArray) -> AnyArray:
     W = np.array([[0, -a[2], a[1]], [a[2], 0, -a[0]], [-a[1], a[0], 0]])
     angles = np.linspace(0.4, 5.9, 12)[:, None, None]
     return np.asarray(I + np.sin(angles) * W + (1 - np.cos(angles)) * W @ W)
-
-
-def _relative(a: AnyArray, b: AnyArray, least: float) -> float:
-    """Largest difference over the largest entry of b, or over 1e-3 of `least` if that is more."""
-    size = max(float(np.abs(b).max()), 1e-3 * least)
-    return float(np.abs(a - b).max()) / size
 
 
 # --- derivatives ---
@@ -295,7 +214,7 @@ def derivatives(tested: LawUnderTest) -> Iterator[Finding]:
             smooth[:] = True
         error = float(np.abs(exact - far)[smooth].max() / size)
         good = error <= _DIFFERENCES
-        yield _found(name, good, f"largest difference {error:.2g}", error=error)
+        yield found(name, good, f"largest difference {error:.2g}", error=error)
 
 
 def _differences(f: Evaluation, F: AnyArray, step: float) -> AnyArray:
@@ -306,104 +225,6 @@ def _differences(f: Evaluation, F: AnyArray, step: float) -> AnyArray:
     slopes = (8 * (a - b) - (c - d)) / (12 * step)
     rows = np.moveaxis(slopes, 0, -1)
     return np.asarray(rows.reshape(*rows.shape[:-1], 3, 3))
-
-
-# --- history ---
-
-_STEPS = (0.0, 1e-3, 1.0)
-"""Lengths of steps at which a history is checked [s]."""
-_TINY = 1e-12
-"""In place of the stiffness: of a history nobody knows the unit."""
-
-
-def _ends(law: Remembering, F: AnyArray, dt: float) -> FloatArray:
-    """A user's history at the end of the first step, shape (n, numbers)."""
-    symbol = gradient_symbol()
-    ends = law.with_past({DT: opaque(dt)}).ends(symbol)
-    return NumpyProgram(expand_derivatives(ends), symbol)(F)
-
-
-def changes_at_rest(law: Law) -> str:
-    """What of a user's history changes in a body at rest, in words; empty: nothing."""
-    if not isinstance(law, Remembering) or not law.history:
-        return ""
-    names = [name for name, v in law.history.items() for _ in range(v.size)]
-    start = np.concatenate([v.at_start for v in law.history.values()])
-    for dt in _STEPS if law.timed else _STEPS[:1]:
-        end = _ends(law, I[None], dt)[0]
-        off = np.abs(end - start) > ROUND_OFF * np.maximum(np.abs(start), 1.0)
-        if off.any():
-            i = int(np.argmax(off))
-            step = f", in a step of {quantity(dt, 's')}" if law.timed else ""
-            return f"{names[i]} changes at rest, from {start[i]:.6g} to {end[i]:.6g}{step}"
-    return ""
-
-
-def history(tested: LawUnderTest) -> Iterator[Finding]:
-    """A user's history after a step is finite, symmetric and the same in a turned body."""
-    law = tested.given
-    if not isinstance(law, Remembering) or not law.history:
-        return
-    steps = _STEPS if law.timed else _STEPS[:1]
-    for dt in steps:
-        if not np.isfinite(_ends(law, np.concatenate([I[None], tested.near]), dt)).all():
-            text = f"not finite at rest or at strains of a few per cent, with dt = {dt:g} s"
-            yield _found("finite history", False, text)
-            return
-    yield _found("finite history", True, "finite near the rest")
-    error = 0.0
-    for dt in steps:
-        F = tested.near
-        ends, turned = _ends(law, F, dt), _ends(law, tested.rotations[: len(F)] @ F, dt)
-        error = max(error, _relative(turned, ends, _TINY))
-    text = f"largest difference {error:.2g}"
-    good = error <= 1e3 * ROUND_OFF
-    if not good:
-        text += "; write next in C, E or invariants: turning the body must not change it"
-    yield _found("history frame indifference", good, text, error=error)
-    skew = _skew(law, tested.near)
-    yield _found("symmetric history", skew <= 1e3 * ROUND_OFF, f"asymmetry {skew:.2g}", error=skew)
-    yield from _after_a_step(tested, law)
-    if change := changes_at_rest(law):
-        yield _note("history at rest", change)
-    else:
-        yield _found("history at rest", True, "does not change")
-
-
-def _after_a_step(tested: LawUnderTest, law: Remembering) -> Iterator[Finding]:
-    """The stress of the second step, of a body that was strained, is finite and turns with it."""
-    numbers = iter(_ends(law, tested.near[:1], 1.0)[0].tolist())
-    past = {
-        name: v.value(ufl.as_vector([opaque(next(numbers)) for _ in range(v.size)]))
-        for name, v in law.history.items()
-    }
-    point = LawAtPoints(law.with_past({**past, DT: opaque(1.0)}))
-    F = tested.near
-    Q = tested.rotations[: len(F)]
-    P, turned = point.stress(F), point.stress(Q @ F)
-    if not np.isfinite(P).all():
-        yield _found("second step", False, "the stress after a step of 1 s is not finite")
-        return
-    error = _relative(turned, Q @ P, tested.scale)
-    good = error <= 1e3 * ROUND_OFF
-    text = f"finite, and turns with the body, to {error:.2g}"
-    if not good:
-        text = f"the stress does not turn with the body ({error:.2g}): write the energy in C, E or "
-        text += "invariants"
-    yield _found("second step", good, text, error=error)
-
-
-def _skew(law: Remembering, F: AnyArray) -> float:
-    """Largest asymmetry of the tensors at the end of a step, over their largest entry."""
-    symbol = gradient_symbol()
-    values = law.with_past({DT: opaque(1.0)}).next_values(symbol)
-    error = 0.0
-    for name, variable in law.history.items():
-        if variable.shape != "scalar":
-            program = NumpyProgram(expand_derivatives(ufl.as_ufl(values[name])), symbol)
-            end = program(F)
-            error = max(error, _relative(end, end.transpose(0, 2, 1), _TINY))
-    return error
 
 
 # --- small strains ---
@@ -434,11 +255,11 @@ def small_strain(tested: LawUnderTest) -> Iterator[Finding]:
     stated = [(name, getattr(tested.given, name, None)) for name in ("E", "nu")]
     known = [(n, v) for n, v in stated if isinstance(v, float) and np.isfinite(v)]
     if tested.given is not tested.law or len(known) < 2:
-        yield _note("small strains", text, **values)
+        yield note("small strains", text, **values)
         return
     good = all(abs(values[n] - v) <= 1e-6 * max(abs(v), 1e-3) for n, v in known)
     text += ", as stated" if good else f"; stated {quantity(known[0][1], 'Pa')}, {known[1][1]:.6g}"
-    yield _found("small strains", good, text, **values)
+    yield found("small strains", good, text, **values)
 
 
 def relaxation(tested: LawUnderTest) -> Iterator[Finding]:
@@ -465,7 +286,7 @@ def relaxation(tested: LawUnderTest) -> Iterator[Finding]:
     curves = viscous_curves(law)
     assert curves is not None
     most, omega = curves.most_damped
-    yield _note(
+    yield note(
         "relaxation",
         f"of the {what} stress: {text}; relaxation times {shown}; loss factor up to {most:.2g}, "
         f"at {omega / (2 * np.pi):.2g} Hz",
@@ -485,7 +306,7 @@ def yielding(tested: LawUnderTest) -> Iterator[Finding]:
         f"in tension at {quantity(law.first_yield, 'Pa')}, a strain of {percent(strain)}; all "
         "other tests and curves here are of the elastic law"
     )
-    yield _note("yields", text, stress=law.first_yield, strain=strain)
+    yield note("yields", text, stress=law.first_yield, strain=strain)
 
 
 # --- lists of checks ---
@@ -508,25 +329,35 @@ def checks(tested: LawUnderTest) -> list[Finding]:
 _SHORT = (finite, rest_energy, rest_stress, objectivity, symmetric_tangent, stable)
 
 
-def check_energy(law: Law) -> None:
+def check_energy(law: Law) -> bool:
     """Checks an energy that a user wrote; other laws are checked by the tests of this package.
 
     Not collective: the result is the same on every rank.
+
+    Returns:
+        Whether the tangent of its time steps is symmetric.
 
     Raises:
         InputError: The first check that it fails.
     """
     if not isinstance(law, UserEnergy) or law.checked:
-        return
+        return law.symmetric_steps
     tested = LawUnderTest(law)
     with np.errstate(all="ignore"), keyed("energy"):
         failed = (f for check in _SHORT for f in check(tested) if f.verdict == "fail")
         failure = next(failed, None)  # the later ones want finite values
     if failure is not None:
         raise InputError(f"{failure.check}: {failure.text}", where="energy")
+    symmetric = True
     with np.errstate(all="ignore"):
-        failure = next((f for f in history(tested) if f.verdict == "fail"), None)
+        for failure in history(tested):
+            if failure.verdict == "fail":
+                break
+            symmetric &= bool(failure.values.get("symmetric", True))
+        else:
+            failure = None
     if failure is not None:
-        where = "energy" if failure.check == "second step" else "next"
+        where = "energy" if failure.check == "second step" else str(law.follows_by)
         raise InputError(f"{failure.check}: {failure.text}", where=where)
-    law.mark_checked()
+    law.mark_checked(symmetric=symmetric)
+    return law.symmetric_steps

@@ -7,8 +7,8 @@ from collections.abc import Iterator
 import numpy as np
 
 from dolfin_elastic.core.types import AnyArray
-from dolfin_elastic.model.point.checks import Finding, LawUnderTest
 from dolfin_elastic.model.point.homogeneous_tests import ResponseCurve
+from dolfin_elastic.model.point.tested import Finding, LawUnderTest
 from dolfin_elastic.model.point.ufl_to_numpy import LawAtPoints
 
 _CRUSHED = 10.0 ** -np.array([2.0, 4.0, 8.0, 16.0, 32.0])

@@ -9,13 +9,14 @@ import numpy as np
 from dolfin_elastic.core.errors import InputError, keyed
 from dolfin_elastic.core.help.notebook import Shown
 from dolfin_elastic.model.materials.law import Law
-from dolfin_elastic.model.point.checks import Finding, LawUnderTest, checks
+from dolfin_elastic.model.point.checks import checks
 from dolfin_elastic.model.point.ellipticity import ellipticity, energy_growth
 from dolfin_elastic.model.point.homogeneous_tests import (
     DEFORMATION_MODES,
     ResponseCurve,
     response_curve,
 )
+from dolfin_elastic.model.point.tested import Finding, LawUnderTest
 from dolfin_elastic.model.point.viscous_curves import ViscousCurves, viscous_curves
 
 LARGEST = 2.0

@@ -8,7 +8,6 @@ import numpy as np
 
 from dolfin_elastic.core.types import AnyArray
 from dolfin_elastic.model.materials.law import Law
-from dolfin_elastic.model.point.checks import LawUnderTest
 from dolfin_elastic.model.point.ellipticity import PATHS, acoustic_eigenvalues
 from dolfin_elastic.model.point.homogeneous_tests import (
     DEFORMATION_MODES,
@@ -16,6 +15,7 @@ from dolfin_elastic.model.point.homogeneous_tests import (
     ResponseCurve,
     response_curve,
 )
+from dolfin_elastic.model.point.tested import LawUnderTest
 
 LARGEST = 2.0
 """Stretches are looked at from 1/`LARGEST` to it, shears up to `LARGEST` - 1."""

@@ -189,6 +189,8 @@ class SectionForces:
             x = x + state.u.x.array[:size].reshape(-1, dim)
         dofs = self.problem.unknowns.mixed_dofs(np.arange(size, dtype=np.int32))
         result = {}
+        if self.problem.history is not None:
+            self.problem.history.follow()
         for name, (sides, nodes, about) in self._cuts.items():
             self._inside.x.array[: len(sides)] = sides == 1
             vector = fem.assemble_vector(form)

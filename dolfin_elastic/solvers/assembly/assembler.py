@@ -270,6 +270,8 @@ class Tangent:
         if isinstance(self._assembled, SymmetricMatrix):
             self._assembled.assemble()
             return
+        if (history := self._dofs.problem.history) is not None:
+            history.follow()
         self._assembled.assemble(self._dofs.bcs)
         self._constrained.renew(unit)
         if self.blocks is not None:
@@ -532,7 +534,8 @@ def in_cells(problem: Problem, form: ufl.Form) -> tuple[CellIntegrals | None, fe
     cells, others = (next(forms) if part else None for part in parts)
     if cells is None:
         return None, others
-    return CellIntegrals(cells, problem.w, problem.jit), others
+    coefficients = ufl.Form(parts[0]).coefficients()
+    return CellIntegrals(cells, problem.w, problem.jit, coefficients), others
 
 
 def integral(problem: Problem, form: fem.Form) -> float:

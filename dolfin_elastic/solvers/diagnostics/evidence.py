@@ -21,8 +21,8 @@ from dolfin_elastic.core.parallel import (
 from dolfin_elastic.core.types import BoolArray, FloatArray
 from dolfin_elastic.mesh.geometry.quality import SLIVER, quality_at
 from dolfin_elastic.mesh.geometry.simplices import cell_corners
-from dolfin_elastic.model.point.checks import with_finite_moduli
 from dolfin_elastic.model.point.domain import undefined_operation
+from dolfin_elastic.model.point.tested import with_finite_moduli
 from dolfin_elastic.problem.material_regions import MaterialRegion
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.solvers import messages
@@ -204,6 +204,9 @@ def explained(problem: Problem, diagnosis: Diagnosis) -> Diagnosis:
     )
 
 
+NO_ROOT = "the equations of its history have no root that Newton's method finds"
+
+
 def not_finite(cells: Cells) -> Fault | None:
     """The first term of the residual that has no finite value in the present state. Collective."""
     problem = cells.problem
@@ -226,6 +229,8 @@ def not_finite(cells: Cells) -> Fault | None:
 
 def _of_material(cells: Cells, part: MaterialRegion) -> Fault | None:
     problem = cells.problem
+    if problem.history is not None:
+        problem.history.follow()
     law, F = problem.weak_form.response(part, problem.w), problem.weak_form.F(problem.w)
     entries = [*_flat(law.stress(F)), *([law.energy(F)] if law.has_energy else [])]
     kernel = compile_expression(cells.comm, ufl.as_vector(entries), cells.points, problem.jit)
@@ -242,7 +247,9 @@ def _of_material(cells: Cells, part: MaterialRegion) -> Fault | None:
         J = np.linalg.det(F)
     upright = bool(largest(cells.comm, float(np.any(J > 0.0))))
     place = cells.first(bad)
-    why = _why(cells, part, F) or "stress or energy is not finite"
+    rootless = problem.history is not None and problem.history.lost(part.name)
+    no_value = NO_ROOT if rootless else "stress or energy is not finite"
+    why = _why(cells, part, F) or no_value
     low = smallest(cells.comm, float(np.min(J, initial=np.inf)))
     inverted = not upright and not np.isnan(low)
     why = f"det F falls to {low:.3g}" if inverted else why

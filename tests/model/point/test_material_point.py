@@ -35,15 +35,11 @@ from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.model.materials.law import Law
 from dolfin_elastic.model.materials.registry import MATERIALS
 from dolfin_elastic.model.materials.user import SplitEnergy, read_energy
-from dolfin_elastic.model.point.checks import (
-    LawUnderTest,
-    check_energy,
-    checks,
-    with_finite_moduli,
-)
+from dolfin_elastic.model.point.checks import check_energy, checks
 from dolfin_elastic.model.point.ellipticity import acoustic_eigenvalues, directions
 from dolfin_elastic.model.point.homogeneous_tests import DEFORMATION_MODES, response_curve
 from dolfin_elastic.model.point.report import MaterialReport, material_report
+from dolfin_elastic.model.point.tested import LawUnderTest, with_finite_moduli
 from dolfin_elastic.model.point.ufl_to_numpy import LawAtPoints
 
 # A material at a point has no ranks; commands on two are tried in processes of their own.

@@ -1,8 +1,9 @@
-"""Memory that a user writes: what is remembered, and what a step makes of it, in closed form.
+"""Memory that a user writes: what is remembered, and what a step makes of it.
 
-The energy may use the names of history, which are values at the start of a step, and dt, its length
-[s].  `next` gives the values at its end, of F, of those at its start and of dt.  The stress is
-dpsi/dF with the history fixed, so that it has a potential and its tangent is symmetric.
+In closed form, with `next`, the energy may use the names of history, which are values at the start
+of a step, and dt, its length [s].  `next` gives the values at its end, of F, of those at its start
+and of dt.  The stress is dpsi/dF with the history fixed, so that it has a potential and its tangent
+is symmetric.  By evolution, with `rate` or `residual`: see `implicit`.
 """
 
 from __future__ import annotations
@@ -26,8 +27,22 @@ from dolfin_elastic.model.materials.stepped import SteppedLaw, SteppedSplitLaw
 from dolfin_elastic.model.materials.viscous import Viscous
 
 DT = "dt"
+OLD = "_old"
+"""After a name of history: its value at the start of a step, where the name is that at its end."""
 _STARTS = {"I": 1.0, "0": 0.0}
 """Texts for tensors at the start."""
+_KEEPS = "determinant"
+"""Key of a table {start = "I", determinant = 1} of a tensor whose determinant stays."""
+
+
+def old(name: str) -> str:
+    """The name of the value at the start of a step."""
+    return name + OLD
+
+
+def unimodular(X: Expr) -> Expr:
+    """X/det(X)^(1/3), shape (3, 3)."""
+    return X / ufl.det(X) ** (1 / 3)
 
 
 @cache
@@ -50,6 +65,8 @@ def _at_start(variable: Variable) -> Expr:
 def _variable(name: str, start: object) -> Variable:
     if isinstance(start, Variable):
         return start
+    if isinstance(start, Mapping):
+        return _unimodular(name, start)
     if isinstance(start, int | float) and not isinstance(start, bool) and np.isfinite(start):
         return Variable(name, start=float(start))
     if isinstance(start, str) and start in _STARTS:
@@ -67,8 +84,24 @@ def _variable(name: str, start: object) -> Variable:
     )
 
 
-def check_next(history: Collection[str], given: Collection[str]) -> None:
-    """Checks the names of `next`.
+def _unimodular(name: str, table: Mapping[object, object]) -> Variable:
+    """A tensor whose determinant stays, {start = "I", determinant = 1}."""
+    rest = {key: value for key, value in table.items() if key not in ("start", _KEEPS)}
+    variable = _variable(name, table.get("start", "I"))
+    if rest or table.get(_KEEPS, 1) != 1 or variable.shape == "scalar" or variable.start != 1.0:
+        raise InputError(
+            f"{quoted(dict(table))} is no start of a history",
+            where=name,
+            expected=f'{{start = "I", {_KEEPS} = 1}} of a tensor whose determinant stays 1',
+        )
+    return Variable(name, variable.shape, 1.0, unimodular=_KEEPS in table)
+
+
+def check_names(history: Collection[str], given: Collection[str], key: str) -> None:
+    """Checks the names of `next`, `rate` or `residual`.
+
+    Args:
+        key: Which of them.
 
     Raises:
         InputError: A name that is none of history, or a name of history that is missing.
@@ -77,16 +110,49 @@ def check_next(history: Collection[str], given: Collection[str]) -> None:
         if name not in history:
             raise InputError(
                 f"there is no history '{name}'",
-                where=f"next.{name}",
+                where=f"{key}.{name}",
                 expected=nearest(name, history),
             )
     for name in history:
         if name not in given:
             raise InputError(
                 f"nothing says what '{name}' is at the end of a step",
-                where="next",
-                expected=f"a value for {name}, too",
+                where=key,
+                expected=f"a formula for {name}, too",
             )
+
+
+def which(given: Mapping[str, object], *, history: bool) -> str | None:
+    """The key that says how a history follows: "next", "rate" or "residual"; None without any.
+
+    Args:
+        given: These keys to what is written there.
+        history: Something is remembered.
+
+    Raises:
+        InputError: More than one, none beside a history, or one without a history.
+    """
+    written = [key for key, value in given.items() if value]
+    if len(written) > 1:
+        raise InputError(
+            f"`{written[0]}` beside `{written[1]}`",
+            where=written[1],
+            expected="one of them: next, rate or residual",
+        )
+    if history and not written:
+        raise InputError(
+            "a history, and nothing says how it follows",
+            where="history",
+            expected="next, values at the end of a step; or rate, derivatives by time; or "
+            "residual, equations of a step",
+        )
+    if written and not history:
+        raise InputError(
+            f"`{written[0]}` without a history",
+            where="history",
+            expected='{h = 0, Cv = "I"}, values in the body at rest',
+        )
+    return written[0] if written else None
 
 
 class Remembering(Viscous):
@@ -124,6 +190,8 @@ class Remembering(Viscous):
         return {
             name: v.start
             if v.shape == "scalar"
+            else {"start": "I", _KEEPS: 1}
+            if v.unimodular
             else texts.get(v.start, (v.start * np.eye(3)).tolist())
             for name, v in table.items()
         }
@@ -131,12 +199,39 @@ class Remembering(Viscous):
     @property
     def of_history(self) -> frozenset[str]:
         """Names that the history adds to those of an energy."""
-        return frozenset({*self.history, DT}) if self.history else frozenset()
+        if not self.history:
+            return frozenset()
+        before = [old(name) for name in self.history] if self.evolves else []
+        return frozenset({*self.history, *before, DT})
 
     @property
     def own_memory(self) -> Memory | None:
         """See `Law`."""
-        return UserMemory(self) if self.history else None
+        from dolfin_elastic.model.materials.written.implicit import EvolutionMemory
+
+        if not self.history:
+            return None
+        return EvolutionMemory(self) if self.evolves else UserMemory(self)
+
+    @property
+    def unimodular(self) -> frozenset[str]:
+        """Names of the history whose determinant stays 1."""
+        return frozenset(name for name, v in self.history.items() if v.unimodular)
+
+    @property
+    @abstractmethod
+    def follows_by(self) -> str | None:
+        """The key that says how the history follows: "next", "rate" or "residual"."""
+
+    @property
+    def evolves(self) -> bool:
+        """`rate` or `residual` says how the history follows."""
+        return self.follows_by in ("rate", "residual")
+
+    @property
+    def by_rate(self) -> bool:
+        """`rate` says so."""
+        return self.follows_by == "rate"
 
     @property
     @abstractmethod
@@ -144,8 +239,8 @@ class Remembering(Viscous):
         """Energy or `next` use dt."""
 
     @abstractmethod
-    def next_values(self, F: Expr) -> dict[str, Expr]:
-        """The history at the end of a step, by name: UFL scalars, and tensors of shape (3, 3)."""
+    def following(self, F: Expr) -> dict[str, Expr]:
+        """What `next`, `rate` or `residual` gives, by name: UFL scalars, tensors of (3, 3)."""
 
     def with_past(self, past: Mapping[str, Expr]) -> Self:
         """The law over a step, with other values than those of the body at rest and dt = 0.
@@ -161,11 +256,12 @@ class Remembering(Viscous):
         """Values at the start of the step, of those names in `wanted` that are of history."""
         at_rest = {DT: opaque(0.0)} if self.history else {}
         at_rest |= {name: _at_start(v) for name, v in self.history.items()}
+        at_rest |= {old(name): _at_start(v) for name, v in self.history.items() if self.evolves}
         return {n: self._past.get(n, value) for n, value in at_rest.items() if n in wanted}
 
     def ends(self, F: Expr) -> Expr:
-        """All numbers of `next_values`, as one UFL vector."""
-        return in_a_row(self.history.values(), self.next_values(F))
+        """All numbers of `following`, as one UFL vector."""
+        return in_a_row(self.history.values(), self.following(F))
 
 
 class UserMemory(Memory):
@@ -196,10 +292,13 @@ class SteppedUser(SteppedLaw):
 
     law: Remembering
 
-    @property
-    def _then(self) -> Remembering:
+    def _then(self, F: Expr) -> Remembering:
         """The law over the step."""
         return self.law.with_past({**self.past, DT: self.step[DT]})
+
+    def formulas(self, F: Expr) -> dict[str, Expr]:
+        """What the formulas of the history give over the step, see `Remembering.following`."""
+        return self._then(F).following(F)
 
     @property
     def _fresh(self) -> Remembering:
@@ -213,7 +312,7 @@ class SteppedUser(SteppedLaw):
     @once
     def stress(self, F: Expr) -> Expr:
         """See `SteppedLaw`."""
-        return self._then.stress(F)
+        return self._then(F).stress(F)
 
     def energy(self, F: Expr) -> Expr:
         """See the class."""
@@ -225,7 +324,7 @@ class SteppedUser(SteppedLaw):
 
     def at_end(self, F: Expr) -> dict[str, Expr]:
         """See `OverStep`."""
-        return self._then.next_values(F)
+        return self._then(F).following(F)
 
 
 @dataclass(frozen=True)
@@ -235,7 +334,7 @@ class SteppedUserSplit(SteppedUser, SteppedSplitLaw):
     @once
     def shape_stress(self, F: Expr) -> Expr:
         """See `SplitLaw`, over the step."""
-        then = self._then
+        then = self._then(F)
         assert isinstance(then, SplitLaw)
         return then.shape_stress(F)
 

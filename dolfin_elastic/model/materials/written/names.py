@@ -11,6 +11,7 @@ from ufl.core.expr import Expr
 
 from dolfin_elastic.model.kinematics import (
     green_strain,
+    infinitesimal_strain,
     invariants,
     isochoric_invariants,
     right_cauchy_green,
@@ -27,14 +28,20 @@ ALONG = ("I4", "I5", "I4bar")
 """Scalars along a fibre a: a.C a, a.C^2 a, J^-2/3 a.C a."""
 ACROSS = ("I6", "I7", "I6bar", "I8")
 """The same along a second fibre b; and a.C b (a.b) of the two."""
-TENSORS = ("F", "C", "E")
+TENSORS = ("F", "C", "E", "Cbar")
+"""Tensors of F: Cbar = J^-2/3 C."""
+SMALL = "eps"
+"""The infinitesimal strain, of laws for small rotations."""
+OF_TENSORS = frozenset((*TENSORS, SMALL, "I"))
+"""Tensors that a formula may use, with the unit tensor."""
 OF_STRAIN = frozenset(
     {name for name in COMPONENTS if name[0] != "F"}
+    | {"C", "E", "I"}
     | {"I1", "I2", "I3", "I4", "I5", "I6", "I7", "I8", *_STRETCHES}
 )
 """Functions of C alone, which are the same for F and its mirror image."""
 
-ISOCHORIC = frozenset(("I1bar", "I2bar", "I4bar", "I6bar"))
+ISOCHORIC = frozenset(("I1bar", "I2bar", "I4bar", "I6bar", "Cbar", "I"))
 """Functions of J^-1/3 F alone."""
 
 
@@ -66,12 +73,15 @@ def values(
 
     Args:
         F: Deformation gradient, shape (3, 3).
-        wanted: Names, also `F`, `C`, `E` for the whole tensors.
+        wanted: Names, also those of `OF_TENSORS` for whole tensors.
         fibre: Direction a, of any length.
     """
     C = right_cauchy_green(F)
     tensors: dict[str, Expr] = {"F": F, "C": C, "E": green_strain(F)}
     makers: dict[str, Callable[[], Expr]] = {
+        "Cbar": lambda: ufl.det(F) ** (-2 / 3) * C,
+        "I": lambda: ufl.Identity(3),
+        "eps": lambda: infinitesimal_strain(F),
         "J": lambda: ufl.det(F),
         "I1": lambda: invariants(C)[0],
         "I2": lambda: invariants(C)[1],

@@ -1,0 +1,129 @@
+"""Fields that follow from the unknowns by equations at each point, which are solved in each cell.
+
+A law whose step has no closed form is a function of F and of unknowns z of its own, which r(F, z) =
+0 determines.  z and the inverse of dr/dz are coefficients of the forms; before a kernel reads them
+`roots.c` solves the equations at all points, by Newton's method in compiled code whose r and dr/dz
+FFCx has written.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from dolfinx import fem
+from ufl.core.expr import Expr
+
+from dolfin_elastic.core.jit.cell_integrals import CellExpression, Following, Loops
+from dolfin_elastic.core.jit.compile import JitOptions
+from dolfin_elastic.core.types import FloatArray, IndexArray
+
+ENOUGH = 1e-9
+"""Last step over the size of what is solved for: it is taken, and Newton's method squares it."""
+SMALL = 1e-3
+"""Of the largest value of a variable: below it the size of a value does not count."""
+LEAST = 1e-6
+"""The same of variables that are zero everywhere: round-off of strains is below 1e-15 then."""
+
+
+class PointRoots:
+    """Equations at the points of integration of some cells. Collective to make.
+
+    Args:
+        equations: r and dr/dz, row by row, one UFL vector, of z, of the unknowns and of what else
+            varies.
+        result: Receive z at nodes of discontinuous elements, and the inverse of dr/dz, row by row,
+            at the same nodes.
+        points: Of the reference cell, shape (points, dim).
+        to_points: Values at the points from those at the nodes, shape (points, nodes).
+        variables: To which variable each number belongs, from 0 on.
+        start: Gives z at the nodes from which the iteration begins, shape (rows of cells, size).
+
+    Attributes:
+        lost: Points at which no root was found last.
+    """
+
+    def __init__(
+        self,
+        equations: Expr,
+        result: tuple[fem.Function, fem.Function],
+        points: FloatArray,
+        to_points: FloatArray,
+        variables: Sequence[int],
+        cells: IndexArray,
+        start: Callable[[], FloatArray],
+        *,
+        w: fem.Function,
+        jit_options: JitOptions,
+    ) -> None:
+        (self._found, self._inverse), self._cells, self._start = result, cells, start
+        self._w, size = w, len(variables)
+        nodes = to_points.shape[1]
+        sizes = {"N": size, "NQ": len(points), "NN": nodes}
+        loops = Loops("roots.c", sizes)
+        self._kernel = CellExpression(equations, points, w, jit_options, loops, follows=False)
+        dofmap = self._found.function_space.dofmap
+        self._rows = np.ascontiguousarray(dofmap.list[cells]).reshape(-1)
+        self._tables = (
+            np.ascontiguousarray(to_points),
+            np.ascontiguousarray(np.linalg.pinv(to_points)),
+            np.asarray(variables, dtype=np.int32),
+        )
+        self._list = np.ascontiguousarray(dofmap.list)
+        self._largest, self._sized, self.lost = np.zeros(size), False, 0
+        self._known: tuple[FloatArray, FloatArray] | None = None  # unknowns and constants
+
+    def renew(self) -> None:
+        """What else the equations depend on has changed. Not collective."""
+        self._known = None
+
+    def solve(self) -> None:
+        """Solves at the present unknowns, unless that is done already. Not collective.
+
+        Where a point has no root z is NaN.
+        """
+        w, constants = self._w.x.array, self._kernel.constants
+        if self._known is not None:
+            before, numbers = self._known
+            if np.array_equal(before, w) and np.array_equal(numbers, constants):
+                return
+        self.lost = self._solve()
+        if self.lost and not self._sized:
+            # Where nothing was known of the size of z, points may only seem to be lost.
+            self.lost = self._solve()
+        self._sized = True
+        self._known = w.copy(), constants
+
+    def _solve(self) -> int:
+        """Solves at all points from the start; how many are lost."""
+        found, size = self._found.x.array, len(self._largest)
+        found.reshape(-1, size)[self._rows] = self._start()
+        variable = self._tables[2]
+        of_variable = np.zeros(variable.max() + 1)
+        np.maximum.at(of_variable, variable, self._largest)
+        least = np.maximum(SMALL * of_variable, LEAST)[variable]
+        place = self._kernel.place_of(self._found)
+        where = (place, *self._tables, least, np.array([ENOUGH]), self._list)
+        values = (len(found) // size, found, self._inverse.x.array, self._largest)
+        return self._kernel.call("solve", self._cells, *where, *values)
+
+
+class OfPoints(Following):
+    """A coefficient that `PointRoots` finds; without any it stays as it is.
+
+    Attributes:
+        make: Makes the equations; collective.
+    """
+
+    make: Callable[[], PointRoots] | None = None
+    roots: PointRoots | None = None
+
+    def prepare(self) -> None:
+        """See `Following`."""
+        if self.roots is None and self.make is not None:
+            self.roots = self.make()
+
+    def follow(self) -> None:
+        """See `Following`."""
+        if self.roots is not None:
+            self.roots.solve()

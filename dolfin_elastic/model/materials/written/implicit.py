@@ -1,0 +1,186 @@
+"""Memory that a user writes as an evolution: its rate, or equations of a step.
+
+The energy psi(F, x) is what is stored; its names of history x are values at the end of a step, and
+x_old those at its start.  A rate dx/dt = f(F, x) becomes the equations of backward Euler,
+
+    x - x_old - dt f(F, x) = 0,
+
+and `residual` gives equations of one's own.  The stress is dpsi/dF with x fixed.  A variable that
+keeps its determinant is x/det(x)^(1/3) of the root x.  What a step dissipates is the integral of
+the forces -dpsi/dx over x, by the trapezoidal rule; in the first step, and where that is below zero
+because the forces have changed their sign, that of its end.
+
+Source: Simo & Hughes, Computational Inelasticity (1998), sections 1.4 and 8.2; the projection:
+A. V. Shutov, R. Landgraf and J. Ihlemann, Comput. Methods Appl. Mech. Eng. 265 (2013) 213, whose
+closed form for a Maxwell branch it equals.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import ufl
+from ufl.core.expr import Expr
+
+from dolfin_elastic.model.materials.law import SplitLaw, once
+from dolfin_elastic.model.materials.memory import (
+    Equations,
+    ImplicitMemory,
+    ImplicitStep,
+    Root,
+    Variable,
+    in_a_row,
+)
+from dolfin_elastic.model.materials.stepped import SteppedSplitLaw
+from dolfin_elastic.model.materials.written.history import (
+    DT,
+    Remembering,
+    SteppedUser,
+    old,
+    unimodular,
+)
+
+LOST = Variable("dissipated_density")
+"""Dissipated since the beginning, per reference volume [J/m^3]."""
+
+
+def _force(variable: Variable) -> Variable:
+    """Of -dpsi/dx, the thermodynamic force of a variable."""
+    return Variable(f"force_on_{variable.name}", variable.shape)
+
+
+class EvolutionMemory(ImplicitMemory):
+    """What a user's law remembers that gives rates or equations."""
+
+    def __init__(self, law: Remembering) -> None:
+        self._law, self.timed = law, law.timed
+        self.unknowns = tuple(law.history.values())
+        forces = (_force(v) for v in self.unknowns)
+        self.variables = (*self.unknowns, LOST, *forces)
+
+    def over_step(self, past: Mapping[str, Expr], step: Mapping[str, Expr]) -> SteppedEvolution:
+        """See `Memory`: a step in which the unknowns stay as they are."""
+        size = sum(v.size for v in self.unknowns)
+        found = in_a_row(self.unknowns, past)
+        return self.with_root(past, step, Root(self.unknowns, found, ufl.zero(size * size)))
+
+    def with_root(
+        self, past: Mapping[str, Expr], step: Mapping[str, Expr], root: Root
+    ) -> SteppedEvolution:
+        """See `ImplicitMemory`."""
+        split = isinstance(self._law, SplitLaw)
+        kind = SteppedSplitEvolution if split else SteppedEvolution
+        return kind(self._law, past, step, root)
+
+    def step(self, dt: float, *, passes: bool) -> dict[str, float]:
+        """See `Memory`."""
+        return {DT: dt}
+
+
+@dataclass(frozen=True)
+class SteppedEvolution(ImplicitStep, SteppedUser):
+    """A user's law over a time step whose history follows from equations.
+
+    Attributes:
+        root: Of the equations.
+    """
+
+    root: Root
+
+    def _at(self, values: Mapping[str, Expr]) -> Remembering:
+        """The law with values at the end of the step."""
+        starts = {old(v.name): self.past[v.name] for v in self.root.variables}
+        return self.law.with_past({**values, **starts, DT: self.step[DT]})
+
+    def equations(self, F: Expr) -> Equations:
+        """See `ImplicitStep`."""
+
+        def residual(now: Mapping[str, Expr]) -> Mapping[str, Expr]:
+            given = self._at(now).following(F)
+            if not self.law.by_rate:
+                return given
+            dt = self.step[DT]
+            return {name: now[name] - self.past[name] - dt * f for name, f in given.items()}
+
+        return residual
+
+    @once
+    def _now(self, F: Expr) -> dict[str, Expr]:
+        """The history at the end of the step."""
+        return self._kept(self.root.values(self.root.numbers(self.equations(F))))
+
+    def _kept(self, values: Mapping[str, Expr]) -> dict[str, Expr]:
+        """Values whose determinants are 1 where they are to be."""
+        kept = self.law.unimodular
+        return {name: unimodular(x) if name in kept else x for name, x in values.items()}
+
+    @once
+    def _then(self, F: Expr) -> Remembering:
+        return self._at(self._now(F))
+
+    @once
+    def stress(self, F: Expr) -> Expr:
+        """See `SteppedLaw`."""
+        return self._then(F).stress(F)
+
+    def energy(self, F: Expr) -> Expr:
+        """See `SteppedLaw`."""
+        return self._then(F).energy(F)
+
+    def branch_stress(self, F: Expr) -> Expr | None:
+        """See `OverStep`: none, the energy is what is stored."""
+        return None
+
+    @once
+    def at_end(self, F: Expr) -> dict[str, Expr]:
+        """See `OverStep`."""
+        now, variables = self._now(F), self.root.variables
+        numbers = ufl.variable(in_a_row(variables, now))
+        # Of x/det(x)^(1/3) the derivative is the part of the force that can do work.
+        energy = self._at(self._kept(self.root.values(numbers))).energy(F)
+        forces = -ufl.diff(energy, numbers)
+        before = in_a_row(map(_force, variables), self.past)
+        change = in_a_row(variables, now) - in_a_row(variables, self.past)
+        of_end = ufl.dot(forces, change)
+        mean = (of_end + ufl.dot(before, change)) / 2
+        begun = ufl.And(ufl.gt(ufl.dot(before, before), 0.0), ufl.gt(mean, 0.0))
+        lost = self.past[LOST.name] + ufl.conditional(begun, mean, of_end)
+        names = [_force(v).name for v in variables]
+        at = np.cumsum([0, *(v.size for v in variables)])
+        values = {
+            name: v.value(ufl.as_vector([forces[int(at[k]) + i] for i in range(v.size)]))
+            for k, (name, v) in enumerate(zip(names, variables, strict=True))
+        }
+        return {**now, LOST.name: lost, **values}
+
+    def lost(self, F: Expr) -> Expr:
+        """See `OverStep`."""
+        return self.at_end(F)[LOST.name]
+
+
+@dataclass(frozen=True)
+class SteppedSplitEvolution(SteppedEvolution, SteppedSplitLaw):
+    """The same with a volumetric part, which remembers nothing."""
+
+    @once
+    def shape_stress(self, F: Expr) -> Expr:
+        """See `SplitLaw`, over the step."""
+        then = self._then(F)
+        assert isinstance(then, SplitLaw)
+        return then.shape_stress(F)
+
+    def shape_energy(self, F: Expr) -> Expr:
+        """See `SplitLaw`."""
+        then = self._then(F)
+        assert isinstance(then, SplitLaw)
+        return then.shape_energy(F)
+
+    def energy(self, F: Expr) -> Expr:
+        """See `SteppedSplitLaw`."""
+        return SteppedSplitLaw.energy(self, F)
+
+    def stress(self, F: Expr) -> Expr:
+        """See `SteppedSplitLaw`."""
+        return SteppedSplitLaw.stress(self, F)

@@ -1,0 +1,195 @@
+"""Conditions that a history must satisfy which a user has written, checked at points by steps."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from dolfin_elastic.core.si_text import percent, quantity
+from dolfin_elastic.core.types import AnyArray, FloatArray
+from dolfin_elastic.model.materials.law import Law
+from dolfin_elastic.model.materials.written.history import Remembering, SteppedUser
+from dolfin_elastic.model.materials.written.implicit import LOST
+from dolfin_elastic.model.point.steps import PointSteps, Values
+from dolfin_elastic.model.point.tested import (
+    ROUND_OFF,
+    Finding,
+    I,
+    LawUnderTest,
+    found,
+    note,
+    relative,
+)
+
+SYMMETRY = "tangent of a step"
+_STEPS = (0.0, 1e-3, 1.0)
+"""Lengths of steps at which a history is checked [s]."""
+_TINY = 1e-12
+"""In place of the stiffness: of a history nobody knows the unit."""
+_PATHS, _LONG = 1000, 6
+"""Random paths, and steps of each, on which nothing may be won."""
+_STRAINED = 0.3
+"""Size of the gradients of displacement on these paths."""
+_FASTEST, _SLOWEST = -4.0, 2.0
+"""Decades of the lengths of their steps [s], which come in any order."""
+
+
+class _Steps(PointSteps):
+    """A user's law over steps at points."""
+
+    def __init__(self, law: Remembering) -> None:
+        super().__init__(law)
+        self.names = tuple(law.history)
+        self.lengths = _STEPS if law.timed else _STEPS[:1]
+
+    def after(self, F: AnyArray, values: Values, dt: float) -> tuple[Values, FloatArray]:
+        """The history after a step, and P [Pa]; NaN where its equations have no root."""
+        step = self.step(F, values, dt)
+        end, P = self.follow(F, values, dt, step), self.stress(F, step.inputs)
+        for value in (*end.values(), P):
+            value[~step.found] = np.nan
+        return end, P
+
+    def numbers(self, values: Values) -> FloatArray:
+        """Those of the user's own history, shape (n, m)."""
+        return np.hstack([values[name] for name in self.names])
+
+
+def changes_at_rest(law: Law) -> str:
+    """What of a user's history changes in a body at rest, in words; empty: nothing."""
+    if not isinstance(law, Remembering) or not law.history:
+        return ""
+    steps = _Steps(law)
+    names = [name for name, v in law.history.items() for _ in range(v.size)]
+    start = steps.numbers(steps.start(1))[0]
+    for dt in steps.lengths:
+        end = steps.numbers(steps.after(I[None], steps.start(1), dt)[0])[0]
+        off = np.abs(end - start) > ROUND_OFF * np.maximum(np.abs(start), 1.0)
+        if off.any():
+            i = int(np.argmax(off))
+            step = f", in a step of {quantity(dt, 's')}" if law.timed else ""
+            return f"{names[i]} changes at rest, from {start[i]:.6g} to {end[i]:.6g}{step}"
+    return ""
+
+
+def history(tested: LawUnderTest) -> Iterator[Finding]:
+    """A user's history after a step is finite, the same in a turned body, and wins no energy."""
+    law = tested.law
+    if not isinstance(law, Remembering) or not law.history:
+        return
+    steps = _Steps(law)
+    near = np.concatenate([I[None], tested.near])
+    for dt in steps.lengths:
+        if not np.isfinite(steps.numbers(steps.after(near, steps.start(len(near)), dt)[0])).all():
+            what = "its equations have no root that is found" if law.evolves else "not finite"
+            text = f"{what} at rest or at strains of a few per cent, with dt = {dt:g} s"
+            yield found("finite history", False, text)
+            return
+    yield found("finite history", True, "finite near the rest")
+    if tested.frame_indifferent:
+        yield from _turned(tested, law, steps)
+        yield from _after_a_step(tested, steps)
+    skew = _skew(law, steps, tested.near)
+    yield found("symmetric history", skew <= 1e3 * ROUND_OFF, f"asymmetry {skew:.2g}", error=skew)
+    if law.evolves:
+        yield from _dissipation(law, steps)
+        yield from _symmetry(tested, steps)
+    if change := changes_at_rest(law):
+        yield note("history at rest", change)
+    else:
+        yield found("history at rest", True, "does not change")
+
+
+def _turned(tested: LawUnderTest, law: Remembering, steps: _Steps) -> Iterator[Finding]:
+    F, error = tested.near, 0.0
+    Q = tested.rotations[: len(F)]
+    for dt in steps.lengths:
+        ends, turned = (
+            steps.numbers(steps.after(G, steps.start(len(F)), dt)[0]) for G in (F, Q @ F)
+        )
+        error = max(error, relative(turned, ends, _TINY))
+    good = error <= 1e3 * ROUND_OFF
+    text = f"largest difference {error:.2g}"
+    if not good:
+        key = "rate" if law.by_rate else "residual" if law.evolves else "next"
+        text += f"; write {key} in C, E or invariants: turning the body must not change it"
+    yield found("history frame indifference", good, text, error=error)
+
+
+def _skew(law: Remembering, steps: _Steps, F: AnyArray) -> float:
+    """Largest asymmetry of the formulas of tensors in the second step, over their largest entry."""
+    error, (before, _) = 0.0, steps.after(F[::-1], steps.start(len(F)), 1.0)
+    inputs = steps.step(F, before, 1.0).inputs
+    assert isinstance(steps.law, SteppedUser)
+    for name, formula in steps.law.formulas(steps.F).items():
+        if law.history[name].shape != "scalar":
+            value = steps.program(formula)(F, inputs)
+            error = max(error, relative(value, value.transpose(0, 2, 1), _TINY))
+    return error
+
+
+def _after_a_step(tested: LawUnderTest, steps: _Steps) -> Iterator[Finding]:
+    """The stress of the second step, of a body that was strained, is finite and turns with it."""
+    F = tested.near
+    end, _ = steps.after(F[:1], steps.start(1), 1.0)
+    past = {name: np.repeat(value, len(F), axis=0) for name, value in end.items()}
+    Q = tested.rotations[: len(F)]
+    (_, P), (_, turned) = (steps.after(G, past, 1.0) for G in (F, Q @ F))
+    if not np.isfinite(P).all():
+        yield found("second step", False, "the stress after a step of 1 s is not finite")
+        return
+    error = relative(turned, Q @ P, tested.scale)
+    good = error <= 1e3 * ROUND_OFF
+    text = f"finite, and turns with the body, to {error:.2g}"
+    if not good:
+        text = f"the stress does not turn with the body ({error:.2g}): write the energy in C, E or "
+        text += "invariants"
+    yield found("second step", good, text, error=error)
+
+
+def _dissipation(law: Remembering, steps: _Steps) -> Iterator[Finding]:
+    """-dpsi/dx : dx is nowhere negative on random paths of fast and slow steps."""
+    draw = np.random.default_rng(9)
+    values, good = steps.start(_PATHS), np.ones(_PATHS, dtype=bool)
+    negative, most = np.zeros(_PATHS, dtype=bool), 0.0
+    for dt in map(float, draw.permutation(np.logspace(_FASTEST, _SLOWEST, _LONG))):
+        F = I + _STRAINED * draw.uniform(-1, 1, (_PATHS, 3, 3)) / np.sqrt(3)
+        step = steps.step(F, values, dt)
+        end = steps.follow(F, values, dt, step)
+        good &= step.found & np.isfinite(steps.numbers(end)).all(axis=1)
+        change = (end[LOST.name] - values[LOST.name])[:, 0]
+        most = max(most, float(np.abs(change[good]).max(initial=0.0)))
+        negative |= good & (change < -ROUND_OFF * most)
+        values = {name: np.where(good[:, None], value, values[name]) for name, value in end.items()}
+    wins = float(negative.mean())
+    key = "rate" if law.by_rate else "residual"
+    if wins:
+        text = (
+            f"energy is won on {percent(wins)} of {_PATHS} random paths: -dpsi/dx dx/dt < 0; has "
+        )
+        text += f"`{key}` a wrong sign?"
+    else:
+        text = f"not negative on {_PATHS} random paths"
+    yield found("dissipation", not wins, text, fraction=wins)
+    if lost := float(1 - good.mean()):
+        yield note(
+            "equations of a step",
+            f"without a root on {percent(lost)} of {_PATHS} random paths with gradients up to "
+            f"{_STRAINED:g} and steps of {10**_FASTEST:g} s to {10**_SLOWEST:g} s: there a step is "
+            "halved",
+            fraction=lost,
+        )
+
+
+def _symmetry(tested: LawUnderTest, steps: _Steps) -> Iterator[Finding]:
+    """Whether the tangent of a step is symmetric, in bodies that were strained before."""
+    F = tested.near
+    values, _ = steps.after(F[::-1], steps.start(len(F)), 1.0)
+    A = steps.tangent(F, steps.step(F, values, 1.0).inputs)
+    skew = relative(A, A.transpose(0, 3, 4, 1, 2), tested.scale)
+    symmetric = skew < ROUND_OFF
+    text = f"asymmetry {skew:.2g}"
+    if not symmetric:
+        text += ": systems of equations take more memory, and longer"
+    yield note(SYMMETRY, text, error=skew, symmetric=symmetric)

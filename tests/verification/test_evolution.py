@@ -1,0 +1,361 @@
+"""Materials whose memory evolves by a rate or by equations that a user has written.
+
+A Maxwell branch of large strains, dCv/dt = (Cbar - tr(Cbar Cv^-1)/3 Cv)/time (J. Lubliner, Mech.
+Res. Commun. 12 (1985) 93), whose step of backward Euler with the projection to det Cv = 1 has the
+closed form X = unimodular(Cv + dt/time Cbar) (A. V. Shutov, R. Landgraf and J. Ihlemann, Comput.
+Methods Appl. Mech. Eng. 265 (2013) 213); Zener's solid; and J2 plasticity as equations of a step.
+"""
+
+from __future__ import annotations
+
+from math import exp, log2
+from typing import Any
+
+import numpy as np
+import pytest
+import ufl
+from helpers.checkpoints import through_json
+
+from dolfin_elastic import Dynamics, Energy, Problem, Statics, Support, box_body, rectangle_body
+from dolfin_elastic.case.tables import Material
+from dolfin_elastic.core.errors import ConvergenceError, InputError
+from dolfin_elastic.model.point.checks import check_energy
+from dolfin_elastic.model.point.history import history
+from dolfin_elastic.model.point.steps import PointSteps
+from dolfin_elastic.model.point.tested import LawUnderTest
+from dolfin_elastic.problem.state import State
+
+FREE = "free"
+THERE_AND_BACK = [[0, 0], [0.4, 1], [0.7, -0.4], [1, 0.2]]
+TAU = 0.5
+MAXWELL: dict[str, Any] = {
+    "energy": "mu0/2*(I1bar - 3) + K/2*(J - 1)^2 + mu1/2*(tr(Cbar*inv(Cv)) - 3)",
+    "history": {"Cv": {"start": "I", "determinant": 1}},
+    "rate": {"Cv": "(Cbar - tr(Cbar*inv(Cv))/3*Cv)/tau"},
+    "parameters": {"mu0": 1.0, "mu1": 2.0, "K": 20.0, "tau": TAU},
+}
+# The same in closed form: Cv of the energy is that at the start, and X that at the end.
+X = "(Cv + dt/tau*Cbar)/det(Cv + dt/tau*Cbar)^(1/3)"
+CLOSED = {**MAXWELL, "next": {"Cv": X}, "history": {"Cv": "I"}}
+del CLOSED["rate"]
+
+TRIAL = "2*mu*(dev(eps) - ep_old)"
+MISES = f"(sqrt(1.5)*norm({TRIAL}))"
+J2: dict[str, Any] = {
+    "energy": "K/2*tr(eps)^2 + mu*inner(dev(eps) - ep, dev(eps) - ep) + H/2*a^2",
+    "history": {"ep": "0", "a": 0},
+    "residual": {
+        "a": f"a - a_old - max({MISES} - sy - H*a_old, 0)/(3*mu + H)",
+        "ep": f"ep - ep_old - 1.5*(a - a_old)/max({MISES}, 1e-9)*{TRIAL}",
+    },
+    "parameters": {"mu": "80 GPa", "K": "160 GPa", "sy": "250 MPa", "H": "2 GPa"},
+}
+BUILT_IN = {"law": "j2", "E": 9 * 160e9 / 7, "nu": 2 / 7, "yield": 250e6, "hardening": 2e9}
+
+
+def law_of(table: dict[str, Any]) -> Any:
+    return Material.read(table).law
+
+
+def held(law: Any, size: float = 1.0, **keys: Any) -> Problem:
+    """A cube, one side fixed, the other one moved askew by what a curve says."""
+    goal = [0.3 * size, 0.1 * size, 0]
+    moved = Support(on="right", displacement=goal, curve=THERE_AND_BACK)
+    body = box_body(size=(1, 1, 1), cells=(2, 1, 1))
+    return Problem(body, law, supports=[Support(on="left"), moved], **{"degree": 1, **keys})
+
+
+def reactions(state: State) -> np.ndarray:
+    return np.concatenate([state.reactions[n] for n in sorted(state.reactions)])
+
+
+def judged(solver: Any) -> list[State]:
+    states = list(solver.steps())
+    for state in states:
+        assert state.audit is not None
+        assert state.audit.verdict == "pass", state.audit.reasons
+    return states
+
+
+def forces(problem: Problem, **keys: Any) -> np.ndarray:
+    solver = Statics(problem, **{"steps": 10, "rtol": 1e-13, **keys})
+    return np.array([reactions(state) for state in judged(solver)])
+
+
+# --- at a point ---
+
+GOAL = np.array([[0.3, 0.1, 0.6], [0.0, -0.1, 0.0], [0.0, 0.0, 0.05]])
+
+
+def along(law: Any, steps: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Numbers of Cv, P and the tangent at the end of a ramp within a second."""
+    point, dt = PointSteps(law), 1 / steps
+    values = point.start(1)
+    for k in range(steps):
+        F = (np.eye(3) + (k + 1) * dt * GOAL)[None]
+        step = point.step(F, values, dt)
+        assert step.found.all()
+        before, values = values, point.follow(F, values, dt, step)
+    del before
+    return values["Cv"][0], point.stress(F, step.inputs)[0], point.tangent(F, step.inputs)[0]
+
+
+def test_a_ramp_of_large_strains() -> None:
+    """Against scipy's solution: order one; and the closed form of the step, to round-off."""
+    from scipy.integrate import solve_ivp
+
+    def rate(t: float, y: np.ndarray) -> np.ndarray:
+        Cv, F = y.reshape(3, 3), np.eye(3) + t * GOAL
+        C = F.T @ F / np.linalg.det(F) ** (2 / 3)
+        return np.ravel(C - np.trace(np.linalg.solve(Cv, C)) / 3 * Cv) / TAU
+
+    end = solve_ivp(rate, (0, 1), np.eye(3).ravel(), method="DOP853", rtol=1e-12, atol=1e-12)
+    wanted = end.y[:, -1].reshape(3, 3)[[0, 1, 2, 0, 1, 0], [0, 1, 2, 1, 2, 2]]
+    law, errors = law_of(MAXWELL), []
+    for steps in (50, 100, 200):
+        Cv, _, A = along(law, steps)
+        errors.append(np.abs(Cv - wanted).max())
+        # symmetric, for the step has a potential
+        assert np.abs(A - A.transpose(2, 3, 0, 1)).max() < 1e-14 * np.abs(A).max()
+    assert log2(errors[0] / errors[1]) == pytest.approx(1, abs=0.02)
+    assert log2(errors[1] / errors[2]) == pytest.approx(1, abs=0.01)
+    assert errors[2] < 1e-3
+    assert Cv == pytest.approx(along(law_of(CLOSED), 200)[0], rel=1e-12, abs=1e-12)
+
+
+@pytest.mark.parametrize("law", [MAXWELL, J2], ids=["rate", "residual"])
+def test_the_tangent_is_that_of_differences(law: dict[str, Any]) -> None:
+    """dP/dF of the implicit function theorem, of bodies that were strained before."""
+    point = PointSteps(law_of(law))
+    size = 0.3 if law is MAXWELL else 0.005
+    draw = np.random.default_rng(2)
+    before, F = (np.eye(3) + size * draw.uniform(-1, 1, (6, 3, 3)) for _ in range(2))
+    values = point.start(6)
+    values = point.follow(before, values, 0.2, point.step(before, values, 0.2))
+
+    def stress(F: np.ndarray) -> np.ndarray:
+        step = point.step(F, values, 0.2)
+        assert step.found.all()
+        return point.stress(F, step.inputs)
+
+    A = point.tangent(F, point.step(F, values, 0.2).inputs)
+    h, found = 1e-4 * size, np.zeros_like(A)
+    for i, j in np.ndindex(3, 3):
+        D = np.zeros((3, 3))
+        D[i, j] = h
+        coarse, fine = (stress(F + k * D) - stress(F - k * D) for k in (2, 1))
+        found[..., i, j] = (8 * fine - coarse) / (12 * h)
+    # of differences of order four with a step of 1e-4 of the strains: round-off of 1e-12 over that
+    assert np.abs(A - found).max() < 1e-8 * np.abs(A).max()
+
+
+def test_what_a_step_gives_at_a_point() -> None:
+    findings = {f.check: f for f in history(LawUnderTest(law_of(MAXWELL)))}
+    assert all(f.verdict != "fail" for f in findings.values())
+    assert findings["dissipation"].values["fraction"] == 0
+    assert findings["tangent of a step"].values["symmetric"]
+    turned = {**MAXWELL, "rate": {"Cv": f"-({MAXWELL['rate']['Cv']})"}}
+    with pytest.raises(InputError, match="rate: dissipation: energy is won on") as caught:
+        check_energy(law_of(turned))
+    assert "has `rate` a wrong sign?" in str(caught.value)
+    skew = {**MAXWELL, "rate": {"Cv": "(Cbar*Cv - tr(Cbar*inv(Cv))/3*Cv)/tau"}}
+    found = {f.check: f for f in history(LawUnderTest(law_of(skew)))}
+    assert found["symmetric history"].verdict == "fail"
+    # without the projection the determinant drifts, and the step has no potential
+    plain = {f.check: f for f in history(LawUnderTest(law_of({**MAXWELL, "history": {"Cv": "I"}})))}
+    assert not plain["tangent of a step"].values["symmetric"]
+    rootless = {**MAXWELL, "residual": {"Cv": "Cv*Cv + tau*Cbar"}}
+    del rootless["rate"]
+    with pytest.raises(InputError, match="residual: finite history: its equations have no root"):
+        check_energy(law_of(rootless))
+
+
+# --- in bodies ---
+
+
+def test_equations_of_j2_are_those_of_the_law() -> None:
+    """Forces of a body that yields, is unloaded and yields again, to round-off; Newton's rate."""
+    own, known = (forces(held(law_of(table), 0.02, degree=2)) for table in (J2, BUILT_IN))
+    assert own == pytest.approx(known, rel=1e-12, abs=1e-12 * np.abs(known).max())
+    problem = held(law_of(J2), 0.02, degree=2)
+    assert problem.symmetric
+    *_, state = judged(Statics(problem, steps=10, rtol=1e-13))
+    assert state.energies["dissipated"] > 0
+
+
+def test_newton_is_quadratic() -> None:
+    """The tangent is consistent: the last but one residual squares."""
+    law = law_of(MAXWELL)
+    for state in judged(Statics(held(law), steps=5, rtol=1e-12))[1:]:
+        first, *_, before, last = [r for r in state.residuals if r > 1e-13]
+        if before < 1e-3 * first:
+            assert last < 1e3 * before**2 / first
+
+
+def zener(C: Any, J: Any, Cv: Any, mu: Any, lmbda: Any, g: Any) -> Any:
+    elastic = mu / 2 * (ufl.tr(C) - 3) - mu * ufl.ln(J) + lmbda / 2 * ufl.ln(J) ** 2
+    return elastic + g * mu / 2 * (ufl.tr(C * ufl.inv(Cv)) - 3 - ufl.ln(ufl.det(C * ufl.inv(Cv))))
+
+
+UNUSED = "the energy does not use the history; a term of Cv; or `next`, where it only counts"
+
+
+def flows(C: Any, Cv: Any, tau: Any) -> Any:
+    return {"Cv": (C - Cv) / tau}
+
+
+ELSEWHERE: dict[str, dict[str, Any]] = {
+    "quadratic": {"degree": 2},
+    "plane stress": {"geometry": "plane-stress"},
+    "plane strain": {"geometry": "plane-strain"},
+    "axisymmetric": {"geometry": "axisymmetric"},
+}
+
+
+@pytest.mark.parametrize("name", ELSEWHERE)
+def test_a_rate_in_python(name: str) -> None:
+    """C - Cv - ... has the closed form Cv = (Cv_old + x C)/(1 + x), x = dt/tau, in any body."""
+    keys = ELSEWHERE[name]
+    constants = {"mu": 1.0, "lmbda": 2.0, "g": 1.5, "tau": TAU}
+    start = {"Cv": np.eye(3)}
+    own = Energy(zener, history=start, rate=flows, **constants)
+    written = Energy(
+        zener,
+        history=start,
+        residual=lambda C, Cv, Cv_old, dt, tau: {"Cv": (1 + dt / tau) * Cv - Cv_old - dt / tau * C},
+        **constants,
+    )
+
+    def body(law: Any) -> Problem:
+        if "geometry" not in keys:
+            return held(law, **keys)
+        supports = [
+            Support(on="left", displacement=[0, FREE]),
+            Support(on="bottom", displacement=[FREE, 0]),
+            Support(on="top", displacement=[0.1, 0.3], curve=THERE_AND_BACK),
+        ]
+        plane = rectangle_body(size=(1, 1), cells=(2, 2))
+        return Problem(plane, law, supports=supports, **keys)
+
+    first, second = (forces(body(law), steps=5) for law in (own, written))
+    assert first == pytest.approx(second, rel=1e-11, abs=1e-11 * np.abs(second).max())
+    # a state at rest relaxes towards that without the branch
+    del constants["tau"]
+    elastic = forces(body(Energy(zener, history=start, next=lambda Cv: {"Cv": Cv}, **constants)))
+    assert np.abs(first[1]).max() < np.abs(elastic[2]).max()
+
+
+def test_a_stretch_that_is_held_relaxes() -> None:
+    """Small strains: the force is that of dx/dt = -x/tau by backward Euler, 1/(1 + dt/tau)^n."""
+    table = {
+        "energy": "k/2*tr(eps)^2 + g*k/2*(tr(eps) - h)^2 + k*inner(dev(eps), dev(eps))",
+        "history": {"h": 0},
+        "rate": {"h": "(tr(eps) - h)/tau"},
+        "parameters": {"k": "3 MPa", "g": 2, "tau": TAU},
+    }
+    sides = [Support(on=on, displacement=[FREE, 0, 0]) for on in ("front", "back")]
+    moved = Support(on="right", displacement=[0.01, 0, 0], curve=[[0, 0], [0.1, 1], [1.1, 1]])
+    law = law_of(table)
+    body = box_body(size=(1, 1, 1), cells=(1, 1, 1))
+    everything = [Support(on=on, displacement=[FREE, 0, FREE]) for on in ("bottom", "top")]
+    supports = [Support(on="left"), moved, *sides, *everything]
+    problem = Problem(body, law, supports=supports, degree=1)
+    found = [
+        state.reactions["right"][0]
+        for state in judged(Statics(problem, end=1.1, steps=11, rtol=1e-13))
+    ]
+    lasting = found[-1] - (found[-2] - found[-1]) * TAU / 0.1
+    x = [(f - lasting) / (found[1] - lasting) for f in found[1:]]
+    assert x == pytest.approx([(1 + 0.1 / TAU) ** -n for n in range(len(x))], rel=1e-8)
+    assert x[-1] == pytest.approx(exp(-1 / TAU), rel=0.25)
+
+
+def test_a_run_goes_on() -> None:
+    """From a state between, through JSON: to round-off; dissipation never falls."""
+    first, known, middle = Statics(held(law_of(MAXWELL)), steps=10, rtol=1e-13), [], None
+    lost = 0.0
+    for state in first.steps():
+        known.append((reactions(state), state.energies))
+        assert state.energies["dissipated"] >= lost
+        lost = state.energies["dissipated"]
+        if state.step == 5:
+            middle = through_json(first.restart_state())
+    again = list(Statics(held(law_of(MAXWELL)), steps=10, rtol=1e-13).steps(middle))
+    assert len(again) == 5
+    size = float(np.abs(known[-1][0]).max())
+    for state, (force, energies) in zip(again, known[-5:], strict=True):
+        assert reactions(state) == pytest.approx(force, rel=1e-12, abs=1e-12 * size)
+        assert state.energies == pytest.approx(energies, rel=1e-12)
+
+
+@pytest.mark.parametrize("scheme", ["generalized-alpha", "central-differences"])
+def test_in_motion(scheme: str) -> None:
+    """The rate, and the same as equations, move alike."""
+    body, bottom, moved = box_body(size=(1, 1, 1), cells=(1, 1, 1)), Support(on="bottom"), []
+    equations = {**MAXWELL, "residual": {"Cv": f"Cv - Cv_old - dt*{MAXWELL['rate']['Cv']}"}}
+    del equations["rate"]
+    for table in (MAXWELL, equations):
+        law = law_of({**table, "density": 0.5})
+        problem = Problem(body, law, supports=[bottom], degree=1)
+        step = {} if scheme == "central-differences" else {"dt": 0.02, "rtol": 1e-12}
+        motion = Dynamics(problem, end=0.2, scheme=scheme, initial_velocity=["z", 0, 0], **step)
+        *_, state = motion.steps()
+        moved.append(state.u.x.array.copy())
+    assert np.abs(moved[0]).max() > 0.05
+    assert moved[0] == pytest.approx(moved[1], abs=1e-9 * np.abs(moved[1]).max())
+
+
+def test_a_point_without_a_root_is_named() -> None:
+    """dh/dt = c exp(h) (J - 1)^2 with J - 1 = t/2 has no solution beyond c t^3/12 = 1, t = 0.84."""
+    table = {
+        "energy": "mu/2*(I1 - 3) - mu*ln(J) + k/2*ln(J)^2*exp(-h)",
+        "history": {"h": 0},
+        "rate": {"h": "c*exp(h)*(J - 1)^2"},
+        "parameters": {"mu": 1.0, "k": 1.0, "c": 20},
+    }
+    rollers = [Support(on="left", displacement=[0, FREE, FREE])]
+    rollers += [Support(on=on, displacement=[FREE, 0, FREE]) for on in ("front", "back")]
+    rollers += [Support(on=on, displacement=[FREE, FREE, 0]) for on in ("bottom", "top")]
+    pulled = Support(on="right", displacement=[0.5, FREE, FREE])
+    body = box_body(size=(1, 1, 1), cells=(1, 1, 1))
+    problem = Problem(body, law_of(table), supports=[*rollers, pulled], degree=1)
+    with pytest.raises(ConvergenceError) as caught:
+        list(Statics(problem, steps=5).steps())
+    text = str(caught.value)
+    assert "the equations of its history have no root that Newton's method finds" in text
+    assert "in 6 elements near (" in text
+    # backward Euler, which takes the rate of a step's end, ends before
+    assert 0.7 < float(text.split("beyond load factor ")[1].split(":", maxsplit=1)[0]) < 0.84
+
+
+WRONG = {
+    "a number": ({"rate": {"Cv": "J/tau"}}, "rate.Cv: a number; a tensor, as Cv is in history"),
+    "sum": ({"rate": {"Cv": "(Cbar - J)/tau"}}, "rate.Cv: '-' between a tensor and a number"),
+    "power": ({"rate": {"Cv": "Cbar^2/tau"}}, "rate.Cv: a power with a tensor; A*A is a product"),
+    "root": ({"rate": {"Cv": "sqrt(Cbar)/tau"}}, "rate.Cv: 'sqrt' with a tensor"),
+    "trace": ({"rate": {"Cv": "tr(J)*Cv/tau"}}, "rate.Cv: tr of a number; a tensor, as in tr(C)"),
+    "unknown": ({"rate": {"Cw": "Cbar"}}, "rate.Cw: there is no history 'Cw'; known: Cv"),
+    "name": ({"rate": {"Cv": "Cbar*Cw/tau"}}, "rate.Cv: unknown name 'Cw'"),
+    "energy": ({"energy": "mu0*Cv*K*mu1*tau"}, "energy: a tensor; a number, for example tr(C)"),
+    "unused": ({"energy": "mu0*(I1 - 3)*K*mu1*tau"}, f"energy: {UNUSED}"),
+    "old": ({"parameters": {"Cv_old": 1.0}}, "parameters.Cv_old: the name 'Cv_old' is in use"),
+    "both": ({"next": {"Cv": "Cv"}}, "rate: `next` beside `rate`"),
+    "no history": ({"history": None}, "history: `rate` without a history"),
+    "determinant": (
+        {"history": {"Cv": {"start": "0", "determinant": 1}}},
+        "history.Cv: {'start': '0', 'determinant': 1} is no start of a history",
+    ),
+    "small": (
+        {"energy": "mu0*tr(eps)^2*K*mu1*tau", "history": None, "rate": None},
+        "energy: a formula of eps without a history",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", WRONG)
+def test_wrong_input_is_refused(name: str) -> None:
+    keys, text = WRONG[name]
+    table = {key: value for key, value in {**MAXWELL, **keys}.items() if value is not None}
+    with pytest.raises(InputError) as caught:
+        law_of(table)
+    assert text in str(caught.value).replace('"', "'")
