@@ -78,7 +78,7 @@ class Formula:
         Args:
             text: At most 1000 characters, see the module.
             allowed: Names that may stand in it; they win over `pi` and `e`.
-            tensors: Those of them that are tensors.
+            tensors: Those of them that stand for tensors of shape (3, 3).
 
         Returns:
             The formula.

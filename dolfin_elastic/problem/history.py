@@ -61,6 +61,7 @@ class RegionHistory:
         degree: Of the quadrature of the region's internal forces.
 
     Attributes:
+        name: That of the material region, as the case has it.
         memory: What the region's law remembers.
         law: The region's law over a step.
         points: Of the reference cell, shape (points, dim).
@@ -69,7 +70,7 @@ class RegionHistory:
 
     def __init__(self, body: Body, region: MaterialRegion, degree: int) -> None:
         mesh, kind = body.mesh, body.mesh.basix_cell()
-        memory = region.law.memory
+        memory, self.name = region.law.memory, region.name
         assert memory is not None
         self.memory: Memory = memory
         self.points = basix.make_quadrature(kind, degree)[0]
@@ -276,8 +277,8 @@ class History:
         self.yields = not all(memory.fades for memory in memories)
         self.relaxes = any(memory.fades for memory in memories)
         weak_form.stepped.update({name: part.law for name, part in self._regions.items()})
-        for name, part in self._regions.items():
-            part.solves_by(partial(self._elastic, name), self._w, options(self._comm))
+        for part in self._regions.values():
+            part.solves_by(partial(_elastic, weak_form, part.name), self._w, options(self._comm))
         self.long_term = False
         self._t: float | None = None  # of the past that is committed
         self._now = 0.0
@@ -289,11 +290,6 @@ class History:
         self._volumes: list[fem.Form] = []
         self._heat = 0.0  # of the committed state
         self._before: tuple[FloatArray, FloatArray] = (np.empty(0), np.empty(0))
-
-    def _elastic(self, name: str) -> Expr:
-        """F without growth of a region, by its name."""
-        parts = self._weak_form.elastic_parts()
-        return next(F for region, _, F in parts if region.name == name)
 
     def follow(self) -> None:
         """Solves what equations at points determine, before DOLFINx assembles. Collective."""
@@ -529,6 +525,11 @@ class History:
         self._begin_at(saved["t"], saved["work"])
         if self._lost is not None:
             self._heat = self._dissipated()
+
+
+def _elastic(weak_form: WeakForm, name: str) -> Expr:
+    """F without growth of a region that remembers."""
+    return next(F for region, _, F in weak_form.elastic_parts() if region.name == name)
 
 
 def _flowed(law: SteppedLaw, F: Expr) -> Expr | None:

@@ -171,7 +171,7 @@ class CellIntegrals:
     Args:
         form: Of one test function in the space of the unknowns, or of none; its coefficients
             `can_be_packed`.
-        coefficients: Of the form in UFL.
+        coefficients: All of the form in UFL, of which some may follow from the unknowns.
     """
 
     def __init__(

@@ -162,8 +162,8 @@ class Root:
 
     Attributes:
         variables: Which z has, in the order of its numbers.
-        found: z, a UFL vector.
-        inverse: K, a UFL vector, row by row.
+        found: The numbers of z, of shape (n,).
+        inverse: Those of K, row by row, of shape (n*n,).
     """
 
     variables: tuple[Variable, ...]

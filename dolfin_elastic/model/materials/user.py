@@ -21,15 +21,18 @@ from dolfin_elastic.core.units import SpatialValue, Stress, to_base
 from dolfin_elastic.model.kinematics import gradient_symbol
 from dolfin_elastic.model.materials import spatial
 from dolfin_elastic.model.materials.isochoric import Volumetric
+from dolfin_elastic.model.materials.memory import Memory
 from dolfin_elastic.model.materials.spatial import Direction
 from dolfin_elastic.model.materials.written import names as user_names
 from dolfin_elastic.model.materials.written.history import (
     DT,
     Remembering,
+    UserMemory,
     check_names,
     old,
     which,
 )
+from dolfin_elastic.model.materials.written.implicit import EvolutionMemory
 
 T = TypeVar("T")
 
@@ -95,6 +98,13 @@ class UserEnergy(Remembering):
             symmetric: See `symmetric_steps`.
         """
         self._checked, self._symmetric = True, symmetric
+
+    @property
+    def own_memory(self) -> Memory | None:
+        """See `Law`."""
+        if not self.history:
+            return None
+        return EvolutionMemory(self) if self.evolves else UserMemory(self)
 
     @property
     def symmetric_steps(self) -> bool:

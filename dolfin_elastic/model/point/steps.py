@@ -51,12 +51,12 @@ class PointSteps:
     """A law over steps at points, each of backward Euler as in a body.
 
     Args:
-        law: That remembers, with numbers.
+        law: One that remembers, with a number for every constant.
 
     Attributes:
-        memory: What it remembers.
-        F: The symbol of the deformation gradient.
-        law: The law over a step, of symbols.
+        memory: What the law remembers, and how that follows from a step.
+        F: UFL's symbol of the deformation gradient, shape (3, 3).
+        law: The law over a step, whose past and whose constants are symbols, too.
     """
 
     def __init__(self, law: Law) -> None:

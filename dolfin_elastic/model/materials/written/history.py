@@ -101,7 +101,7 @@ def check_names(history: Collection[str], given: Collection[str], key: str) -> N
     """Checks the names of `next`, `rate` or `residual`.
 
     Args:
-        key: Which of them.
+        key: Where they were given: one of these three.
 
     Raises:
         InputError: A name that is none of history, or a name of history that is missing.
@@ -127,7 +127,7 @@ def which(given: Mapping[str, object], *, history: bool) -> str | None:
 
     Args:
         given: These keys to what is written there.
-        history: Something is remembered.
+        history: The material has a history, whose names these keys follow.
 
     Raises:
         InputError: More than one, none beside a history, or one without a history.
@@ -203,15 +203,6 @@ class Remembering(Viscous):
             return frozenset()
         before = [old(name) for name in self.history] if self.evolves else []
         return frozenset({*self.history, *before, DT})
-
-    @property
-    def own_memory(self) -> Memory | None:
-        """See `Law`."""
-        from dolfin_elastic.model.materials.written.implicit import EvolutionMemory
-
-        if not self.history:
-            return None
-        return EvolutionMemory(self) if self.evolves else UserMemory(self)
 
     @property
     def unimodular(self) -> frozenset[str]:
