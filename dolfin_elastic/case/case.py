@@ -25,7 +25,12 @@ from pydantic import PrivateAttr
 
 from dolfin_elastic.case.analysis import ANALYSES, AnalysisTables
 from dolfin_elastic.case.check.memory import check_elements
-from dolfin_elastic.case.curve_files import has_curve_files, with_curves
+from dolfin_elastic.case.curve_files import (
+    has_curve_files,
+    has_series_files,
+    with_curves,
+    with_series,
+)
 from dolfin_elastic.case.field_files import with_fields
 from dolfin_elastic.case.mesh_table import Source
 from dolfin_elastic.case.model_tables import read_material_tables, with_library
@@ -91,7 +96,7 @@ class Case(AnalysisTables):
             InputError: With the file's name and the dotted key.
         """
         with locate_errors(file), in_order(lambda: tables):
-            case = with_curves(cls(**_with_library(tables, Path(folder))), Path(folder))
+            case = with_curves(cls(**_with_materials(tables, Path(folder))), Path(folder))
         return case._from(file, Path(folder), trust, tables)
 
     def _from(self, file: str, folder: Path, trust: bool, tables: Mapping[str, Any]) -> Case:
@@ -236,18 +241,21 @@ def read_case(
     file, folder = str(path), Path(path).parent
     tables = written = on_root(comm, lambda: read_toml(file))
     with locate_errors(file), in_order(lambda: written):
-        if "library" in tables:
-            tables = on_root(comm, lambda: _with_library(written, folder))
+        if "library" in tables or has_series_files(tables):
+            tables = on_root(comm, lambda: _with_materials(written, folder))
         case = Case(**tables)
         if has_curve_files(case):
             case = on_root(comm, lambda: with_curves(case, folder))
     return case._from(file, folder, trust, written)
 
 
-def _with_library(tables: Mapping[str, object], folder: Path) -> dict[str, object]:
-    """See `with_library`; its errors stand beside those of all tables but the materials."""
+def _with_materials(tables: Mapping[str, object], folder: Path) -> dict[str, object]:
+    """The tables with all that other files say of materials. Not collective.
+
+    Errors of these files stand beside those of all tables but the materials.
+    """
     try:
-        return with_library(tables, folder)
+        return with_series(with_library(tables, folder), folder)
     except InputError as error:
         errors = [*error.each]
         try:
@@ -265,7 +273,8 @@ def read_materials(path: str | PathLike[str]) -> dict[str, Material]:
     """
     file = str(path)
     with locate_errors(file):
-        tables = with_library(read_toml(file), Path(file).parent)
+        folder = Path(file).parent
+        tables = with_series(with_library(read_toml(file), folder), folder)
     with locate_errors(file, "materials"):
         return read_material_tables(tables.get("materials", {}))
 

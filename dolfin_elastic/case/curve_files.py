@@ -1,26 +1,19 @@
-"""Curves and records in CSV files: times in one column, values in another."""
+"""What a case has in CSV files: curves and records over time, and branches that relax."""
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, TypeVar
 
-from dolfin_elastic.core.errors import (
-    CaseError,
-    InputError,
-    keyed,
-    nearest,
-    nearest_file,
-    not_shown,
-    why_no_file,
-)
+from dolfin_elastic.case.toml import key_text
+from dolfin_elastic.core.errors import CaseError, InputError, all_errors, keyed
+from dolfin_elastic.core.files.columns import CsvTable, is_number, read_csv
 from dolfin_elastic.core.schema import Record
-from dolfin_elastic.core.units import is_quantity
 from dolfin_elastic.model.amplitude import Amplitude, CurveFile
 from dolfin_elastic.model.records import RecordTable
+from dolfin_elastic.model.relaxation import SUM_BELOW_ONE, SeriesFile, ViscousTerm
 
 R = TypeVar("R", bound=Record)
 
@@ -123,91 +116,105 @@ def _of_file(name: str, where: str) -> Iterator[None]:
         raise CaseError(f"{name}: {error.what}", where=where, expected=error.expected) from None
 
 
-_MOST_BYTES = 1 << 26
-"""Size of a file of a curve."""
-
-
 def _columns(source: CurveFile, path: Path) -> list[list[str]]:
-    """Rows of time and value as texts, which may have units.
-
-    The separator is the first of ; tab and comma in the first line; a first line that does not
-    begin with a number holds headings.
-    """
-    if fault := why_no_file(path, _MOST_BYTES):
-        raise InputError(fault)
-    try:
-        lines = path.read_text(encoding="utf-8-sig").splitlines()
-    except FileNotFoundError:
-        others = sorted(p.name for p in path.parent.glob("*.csv"))
-        near = nearest_file(path.name, others) if others else "paths are relative to the case file"
-        hint = not_shown(path) or near
-        raise InputError("there is no such file", expected=hint) from None
-    except (OSError, UnicodeDecodeError):
-        raise InputError(
-            "this is no text file that can be read", expected="columns of numbers, saved in UTF-8"
-        ) from None
-    lines = [line for line in lines if line.strip() and not line.lstrip().startswith("#")]
-    mark = next((m for m in ";\t," if lines and m in lines[0]), ",")
-    table = [[cell.strip() for cell in row] for row in csv.reader(lines, delimiter=mark)]
-    if not table or len(table[0]) < 2:
-        raise InputError("a curve needs two columns", expected="for example a line 0.1, 2.5")
-    head = None if _number(table[0][0]) else table.pop(0)
-    at = [_column_index(source.time, head, 0), _column_index(source.value, head, 1)]
-    if short := [row for row in table if len(row) <= max(at)]:
-        raise InputError(
-            f"the line {mark.join(short[0])!r} ends too early",
-            expected="both columns in every line",
-        )
-    if not table:
-        raise InputError(
-            "there are headings but no numbers", expected="for example a line 0.1, 2.5"
-        )
-    _check_numbers(table, at, mark)
-    if mark == "," and all(len(row) > 2 for row in table) and not source.time + source.value:
-        _refuse_commas(lines, head)
-    return [[row[i] for i in at] for row in table]
+    """Rows of time and value as texts, which may have units."""
+    table = read_csv(path)
+    at = [table.index(source.time, 0), table.index(source.value, 1)]
+    rows = table.numbers(at)
+    if not source.time + source.value:
+        _refuse_commas(table)
+    return [cells for _, cells in rows]
 
 
-def _check_numbers(table: list[list[str]], at: list[int], mark: str) -> None:
-    """Refuses cells that are no numbers, with advice where a decimal comma is the reason."""
-    for row in table:
-        for cell in (row[i] for i in at):
-            if not is_quantity(cell):
-                comma = "," in cell and is_quantity(cell.replace(",", "."))
-                raise InputError(
-                    f"'{cell}' is not a number, in the line {mark.join(row)!r}",
-                    expected="decimal points, not commas" if comma else "for example 0.1, 2.5",
-                )
-
-
-def _refuse_commas(lines: list[str], head: list[str] | None) -> None:
+def _refuse_commas(table: CsvTable) -> None:
     """Refuses four unnamed columns of whole numbers: they may be two with decimal commas."""
-    cells = [line.split(",") for line in lines]
-    whole = all(cell.strip().lstrip("+-").isdigit() for row in cells for cell in row)
-    if head is None and whole and all(len(row) == 4 for row in cells):
+    if table.mark != "," or table.head is not None:
+        return
+    whole = all(cell.lstrip("+-").isdigit() for _, row in table.rows for cell in row)
+    if whole and all(len(row) == 4 for _, row in table.rows):
+        line, row = table.rows[0]
         raise InputError(
-            f"the line {lines[0]!r} has 4 columns: are its commas decimal ones?",
+            f"line {line} has 4 columns: are its commas decimal ones? {','.join(row)!r}",
             expected="decimal points; or name the columns by headings, and by time and value",
         )
 
 
-def _number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
+# --- branches of materials that relax ---
 
 
-def _column_index(name: str, head: list[str] | None, default: int) -> int:
-    """Index of the column with a heading; without a name, of the default one."""
-    if not name:
-        return default
-    if head is None:
-        raise InputError(
-            f"the file has no headings, so no column '{name}'",
-            expected="names of the columns in the first line, or leave time and value out",
-        )
-    if name not in head:
-        raise InputError(f"there is no column '{name}'", expected=nearest(name, head))
-    return head.index(name)
+def has_series_files(tables: Mapping[str, object]) -> bool:
+    """Whether `with_series` reads files.
+
+    Args:
+        tables: Of a case, as they were written.
+    """
+    return any(True for _ in _series_files(tables))
+
+
+def _series_files(
+    tables: Mapping[str, object],
+) -> Iterator[tuple[str, str, Mapping[str, object]]]:
+    """Names of materials whose branches are in a file, with the key and the keys of the file."""
+    materials = tables.get("materials")
+    for name, row in materials.items() if isinstance(materials, Mapping) else ():
+        for key in ("viscous", "prony") if isinstance(row, Mapping) else ():
+            if isinstance(written := row.get(key), str | Mapping):
+                yield name, key, {"file": written} if isinstance(written, str) else written
+
+
+def with_series(tables: Mapping[str, object], folder: Path) -> dict[str, object]:
+    """The tables of a case, the branches of its materials read from their files.
+
+    Not collective.
+
+    Args:
+        folder: Folder that the paths are relative to.
+
+    Raises:
+        InputError: A file that cannot be read, that has no such columns, or no such branches.
+    """
+    result = dict(tables)
+    with all_errors() as attempt:
+        for name, key, written in _series_files(tables):
+            materials = result["materials"]
+            assert isinstance(materials, Mapping)
+            row, where = materials[name], f"materials.{key_text(name)}.{key}"
+            with attempt():
+                with keyed(where):
+                    source = SeriesFile(**written)
+                default = "instantaneous" if key == "prony" else "long-term"
+                sudden = row.get("viscous_constants", default) == "instantaneous"
+                with _of_file(source.file, where):
+                    series = _series(source, folder / source.file, sudden=sudden)
+                result["materials"] = {**materials, name: {**row, key: series}}
+    return result
+
+
+def _series(source: SeriesFile, path: Path, *, sudden: bool) -> list[dict[str, float]]:
+    """Branches as a material has them.
+
+    Args:
+        sudden: The ratios are those to the stress of a sudden strain, so that some is left.
+    """
+    table = read_csv(path)
+    names = [
+        given or next((name for name in (key, other) if name in (table.head or ())), key)
+        for key, given, other in (("ratio", source.ratio, "g"), ("time", source.time, "tau"))
+    ]
+    result, ratios = [], 0.0
+    for line, (ratio, time) in table.numbers([table.index(name, 0) for name in names]):
+        bare = source.unit and is_number(time)
+        try:
+            term = ViscousTerm(ratio=ratio, time=f"{time} {source.unit}" if bare else time)
+        except InputError as error:
+            text = f"line {line}, column '{names[error.where == 'time']}': {error.what}"
+            raise InputError(text, expected=error.expected) from None
+        ratios += term.ratio
+        if sudden and ratios >= 1:
+            raise InputError(
+                f"up to line {line} the ratios sum up to {ratios:.6g}: nothing would hold the "
+                "shape for long",
+                expected=SUM_BELOW_ONE,
+            )
+        result.append({"ratio": term.ratio, "time": term.time})
+    return result

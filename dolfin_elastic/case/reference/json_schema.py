@@ -32,6 +32,7 @@ from dolfin_elastic.model.materials.pages import summary
 from dolfin_elastic.model.materials.plasticity import HardeningCurve
 from dolfin_elastic.model.materials.registry import MATERIALS
 from dolfin_elastic.model.materials.user import FormulaEnergy, SplitFormulaEnergy
+from dolfin_elastic.model.relaxation import InFile, SeriesFile
 from dolfin_elastic.model.supports.displacement import Restraint
 from dolfin_elastic.model.supports.springs import SUPPORTS
 from dolfin_elastic.model.values import OrField
@@ -166,6 +167,11 @@ class _Writer:
             rest = [one for one in metadata if not isinstance(one, OrField)]
             return {"anyOf": [self._value(kind, rest, varies=varies), FIELD]}
         kinds = [one for one in members_of(kind) if one is not NoneType]
+        if any(isinstance(one, InFile) for one in metadata):
+            rest = [one for one in metadata if not isinstance(one, InFile)]
+            return {
+                "anyOf": [self._value(kind, rest, varies=varies), _TEXT, self._class(SeriesFile)]
+            }
         if get_origin(kind) is Annotated:
             inner, *more = get_args(kind)
             return self._value(inner, [*_flat(more), *metadata], varies=varies)

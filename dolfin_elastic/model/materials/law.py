@@ -6,20 +6,18 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import wraps
-from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self, TypeVar
 
 import ufl
 from pydantic import AliasChoices, Field, field_validator, model_validator
 from ufl.core.expr import Expr
 
 from dolfin_elastic.core.errors import InputError
-from dolfin_elastic.core.schema import Record, WhenGiven
+from dolfin_elastic.core.schema import WhenGiven
 from dolfin_elastic.core.units import (
     Density,
     Expansion,
-    Number,
     SpatialValue,
-    Time,
     Viscosity,
 )
 from dolfin_elastic.model.kinematics import (
@@ -30,6 +28,7 @@ from dolfin_elastic.model.kinematics import (
     volume_change,
 )
 from dolfin_elastic.model.materials import spatial
+from dolfin_elastic.model.relaxation import SUM_BELOW_ONE, InFile, ViscousTerm
 from dolfin_elastic.model.strength import Allowable, Strength
 
 if TYPE_CHECKING:
@@ -99,25 +98,14 @@ class BoundLaw:
         return self.given.with_values({**self.constants, **self.means}).small_strain()
 
 
-class ViscousTerm(Record):
-    """One branch of a viscous law.
-
-    Attributes:
-        ratio: Stress of the branch after a sudden strain, over that of the law's constants.
-        time: Time in which it falls to 1/e [s].
-    """
-
-    ratio: Number = Field(gt=0, validation_alias=AliasChoices("ratio", "g"))
-    time: Time = Field(gt=0, validation_alias=AliasChoices("time", "tau"))
-
-
 class Branched(spatial.SpatialRecord):
     """Keys of the stress that relaxes.
 
     Attributes:
         viscous: Branches of stress that relaxes, each with a ratio and a time: it fades as
             exp(-t/time) after a sudden strain. In statics the load factor is the time in seconds.
-            `prony`, a list of g and tau, is the same with instantaneous constants.
+            Or the name of a CSV file with these columns. `prony`, a list of g and tau, is the same
+            with instantaneous constants.
         viscous_on: What relaxes: "isochoric", the stress of a change of shape, the default of laws
             with a volumetric part of their own; or "whole", the default of all others.
         viscous_constants: What the law's other constants are: "long-term", the stress after a
@@ -125,7 +113,7 @@ class Branched(spatial.SpatialRecord):
             time 1 - sum of the ratios is left.
     """
 
-    viscous: tuple[WhenGiven[ViscousTerm], ...] = Field(
+    viscous: Annotated[tuple[WhenGiven[ViscousTerm], ...], InFile()] = Field(
         default=(), validation_alias=AliasChoices("viscous", "prony")
     )
     viscous_on: Literal["isochoric", "whole"] | None = None
@@ -143,6 +131,17 @@ class Branched(spatial.SpatialRecord):
                 expected="leave one of them out",
             )
         return {"viscous_constants": "instantaneous", **table}
+
+    @field_validator("viscous", mode="before")
+    @classmethod
+    def _is_a_list(cls, terms: object) -> object:
+        if isinstance(terms, str | Mapping):
+            raise InputError(
+                "no branches: the file has not been read",
+                expected='a list [{ratio = 0.3, time = "1 s"}, ...]; only a case file may name a '
+                "file of branches",
+            )
+        return terms
 
     @field_validator("viscous")
     @classmethod
@@ -166,7 +165,7 @@ class Branched(spatial.SpatialRecord):
             raise InputError(
                 f"the ratios sum up to {ratios:.6g}: nothing would hold the shape for long",
                 where="viscous",
-                expected='ratios whose sum is below 1, or viscous_constants = "long-term"',
+                expected=SUM_BELOW_ONE,
             )
         return self
 
