@@ -459,6 +459,16 @@ class Quantity:
         )
 
 
+class Temperature(Quantity):
+    """A temperature [K] from absolute zero on: "20 degC" is 293.15."""
+
+    def read(self, value: object, bounded: Callable[[float], float]) -> object:
+        """See `Quantity.read`."""
+        to_si(value, self.unit)
+        assert isinstance(value, int | float | str)
+        return bounded(reading(value, self.unit, self.unit))
+
+
 def _as_written(value: object) -> object:
     return value.written if isinstance(value, SpatialValue) else value
 

@@ -35,7 +35,8 @@ def eigenstrains(
         shanks: From `shanks_of`.
 
     Raises:
-        InputError: A material that is warmed has no coefficient of expansion.
+        InputError: A material that is warmed has no coefficient of expansion, or times of one
+            temperature.
     """
     result: dict[str, Expr] = {}
     for index, load in enumerate(loads):
@@ -55,6 +56,13 @@ def eigenstrains(
                     f"load[{index}] ({load.kind}) needs a coefficient of expansion",
                     where=f"materials.{region.name}.expansion",
                     expected='for example "12 ppm/K"',
+                )
+            if load.kind == "thermal" and region.law.viscous_shift is not None:
+                raise InputError(
+                    f"load[{index}] (thermal) changes the temperature, and the relaxation times "
+                    "are those of one",
+                    where=f"materials.{region.name}.viscous_shift",
+                    expected="one of both",
                 )
             growth = load.growth(context, region.law.expansion, share)
             result[region.name] = _joined(region, growth, result.get(region.name))

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 
+import numpy as np
+
 from dolfin_elastic.case.case import Case
 from dolfin_elastic.case.toml import key_text
 from dolfin_elastic.core.si_text import given, percent, quantity
@@ -48,6 +50,12 @@ def _relaxing(case: Case) -> Iterator[str]:
                 f"materials.{key_text(name)}.viscous: the {what} stress relaxes to "
                 f"{percent(law.lasting / law.sudden)} of that of a sudden load"
             )
+            if (shift := law.viscous_shift) is not None:
+                yield (
+                    f"materials.{key_text(name)}.viscous_shift: at "
+                    f"{quantity(shift.temperature, 'K')} all times are {shift.factor:.4g} times "
+                    f"those of {quantity(shift.reference, 'K')}"
+                )
 
 
 _ERROR = 0.01
@@ -61,7 +69,7 @@ def step_notes(case: Case) -> Iterator[str]:
     for name, material in case.materials.items():
         if not (law := material.law).viscous or (error := error_of_steps(law, dt)) <= _ERROR:
             continue
-        finer, shortest = dt, min(term.time for term in law.viscous)
+        finer, shortest = dt, law.series[1].min()
         while error_of_steps(law, finer) > _ERROR:
             finer /= 2
         yield (
@@ -90,8 +98,8 @@ def error_of_steps(law: Law, dt: float) -> float:
     Args:
         dt: Length of the steps [s].
     """
-    errors = (term.ratio * min((dt / term.time) ** 2 / 12, 1.0) for term in law.viscous)
-    return sum(errors) / law.sudden
+    ratios, times = law.series
+    return float(ratios @ np.minimum((dt / times) ** 2 / 12, 1.0)) / law.sudden
 
 
 def material_constants(case: Case) -> Iterator[str]:

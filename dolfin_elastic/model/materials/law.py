@@ -8,12 +8,14 @@ from dataclasses import dataclass
 from functools import wraps
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self, TypeVar
 
+import numpy as np
 import ufl
 from pydantic import AliasChoices, Field, field_validator, model_validator
 from ufl.core.expr import Expr
 
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.schema import WhenGiven
+from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.core.units import (
     Density,
     Expansion,
@@ -28,7 +30,7 @@ from dolfin_elastic.model.kinematics import (
     volume_change,
 )
 from dolfin_elastic.model.materials import spatial
-from dolfin_elastic.model.relaxation import SUM_BELOW_ONE, InFile, ViscousTerm
+from dolfin_elastic.model.relaxation import SUM_BELOW_ONE, InFile, Shift, ViscousTerm
 from dolfin_elastic.model.strength import Allowable, Strength
 
 if TYPE_CHECKING:
@@ -111,6 +113,8 @@ class Branched(spatial.SpatialRecord):
         viscous_constants: What the law's other constants are: "long-term", the stress after a
             sudden strain is 1 + sum of the ratios times theirs; or "instantaneous", after a long
             time 1 - sum of the ratios is left.
+        viscous_shift: Temperature of the material, and how its relaxation times depend on it, by
+            the law "wlf" or "arrhenius".
     """
 
     viscous: Annotated[tuple[WhenGiven[ViscousTerm], ...], InFile()] = Field(
@@ -118,6 +122,7 @@ class Branched(spatial.SpatialRecord):
     )
     viscous_on: Literal["isochoric", "whole"] | None = None
     viscous_constants: Literal["long-term", "instantaneous"] = "long-term"
+    viscous_shift: WhenGiven[Shift] | None = None
 
     @model_validator(mode="before")
     @classmethod
@@ -155,7 +160,7 @@ class Branched(spatial.SpatialRecord):
 
     @model_validator(mode="after")
     def _relaxes(self) -> Self:
-        for key in ("viscous_on", "viscous_constants"):
+        for key in ("viscous_on", "viscous_constants", "viscous_shift"):
             if key in self.model_fields_set and not self.viscous:
                 raise InputError(
                     "nothing relaxes without `viscous`", where=key, expected="leave it out"
@@ -168,6 +173,13 @@ class Branched(spatial.SpatialRecord):
                 expected=SUM_BELOW_ONE,
             )
         return self
+
+    @property
+    def series(self) -> tuple[FloatArray, FloatArray]:
+        """Ratios, and times at the temperature of the material [s], of the branches."""
+        factor = 1.0 if self.viscous_shift is None else self.viscous_shift.factor
+        terms = self.viscous
+        return np.array([t.ratio for t in terms]), factor * np.array([t.time for t in terms])
 
     @property
     def lasting(self) -> float:

@@ -460,6 +460,7 @@ class Energy(UserEnergy):
         "viscous",
         "viscous_on",
         "viscous_constants",
+        "viscous_shift",
         "prony",
         "fibre",
         "fibre2",

@@ -213,8 +213,7 @@ class Relaxation(Memory):
 
     def __init__(self, law: Viscous) -> None:
         self._law = law
-        self._ratios = np.array([term.ratio for term in law.viscous])
-        self._times = np.array([term.time for term in law.viscous])
+        self._ratios, self._times = law.series
         self._names = [f"h{i + 1}" for i in range(len(self._times))]
         self.variables = tuple(Variable(name, "symmetric") for name in ("S", *self._names))
 

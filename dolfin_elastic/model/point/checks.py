@@ -267,7 +267,7 @@ def relaxation(tested: LawUnderTest) -> Iterator[Finding]:
     law = tested.given
     if not law.viscous:
         return
-    times = sorted(term.time for term in law.viscous)
+    times = sorted(map(float, law.series[1]))
     what = "whole" if law.relaxes_whole else "isochoric"
     values: dict[str, object] = {"on": what, "times": times}
     left = law.lasting / law.sudden

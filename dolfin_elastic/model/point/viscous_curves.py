@@ -41,28 +41,23 @@ class ViscousCurves:
     omega: FloatArray
     mu: float | None
 
-    @property
-    def _series(self) -> tuple[FloatArray, FloatArray]:
-        terms = self.law.viscous
-        return np.array([term.ratio for term in terms]), np.array([term.time for term in terms])
-
     @cached_property
     def relaxation(self) -> FloatArray:
         """G(t) over the modulus of the constants, shape (n,)."""
-        ratios, times = self._series
+        ratios, times = self.law.series
         return self.law.lasting + np.exp(-self.t[:, None] / times) @ ratios
 
     @cached_property
     def storage(self) -> FloatArray:
         """G' over the modulus of the constants, shape (n,)."""
-        ratios, times = self._series
+        ratios, times = self.law.series
         x = (self.omega[:, None] * times) ** 2
         return self.law.lasting + (x / (1 + x)) @ ratios
 
     @cached_property
     def loss(self) -> FloatArray:
         """G'' over the modulus of the constants, shape (n,)."""
-        ratios, times = self._series
+        ratios, times = self.law.series
         x = self.omega[:, None] * times
         return (x / (1 + x**2)) @ ratios
 
@@ -82,8 +77,8 @@ def viscous_curves(law: Law) -> ViscousCurves | None:
     """The curves of a law; None where nothing relaxes."""
     if not law.viscous:
         return None
-    times = [term.time for term in law.viscous]
-    low, high = np.log10(min(times)) - _DECADES, np.log10(max(times)) + _DECADES
+    times = law.series[1]
+    low, high = np.log10(times.min()) - _DECADES, np.log10(times.max()) + _DECADES
     t = np.logspace(low, high, int(np.ceil(_POINTS * (high - low))) + 1)
     known = law.small_strain()
     return ViscousCurves(law, t, 1 / t[::-1], None if known is None else known.mu)
