@@ -3,7 +3,8 @@
     mpirun -n 2 python3 benchmarks/memory.py [--cells 48000 10000]
 
 The rounds of both laws alternate, and the least processor time of each counts.  Whole solves, for
-the same number of Newton iterations, are one step that yields everywhere, or relaxes.
+the same number of Newton iterations, are one step that yields everywhere, or relaxes.  Of linear
+elements there is a step of explicit motion, too.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ import argparse
 import time
 
 import numpy as np
+from dolfinx import fem
 from mpi4py import MPI
 
 from dolfin_elastic import (
@@ -25,6 +27,8 @@ from dolfin_elastic import (
     box_body,
 )
 from dolfin_elastic.solvers.assembly.assembler import Assembler
+from dolfin_elastic.solvers.dynamics.explicit.explicit import Explicit
+from dolfin_elastic.solvers.dynamics.explicit.scheme import CentralDifferences
 from dolfin_elastic.solvers.linear.choice import LinearSettings, choose, in_blocks
 
 METAL = {"E": 200e9, "nu": 0.3}
@@ -39,7 +43,43 @@ PAIRS = {
     "j2 over linear-elastic": (LinearElastic(**METAL), J2(**METAL, **FLOW)),
     "j2-logarithmic over hencky": (Hencky(**METAL), J2Logarithmic(**METAL, **FLOW)),
 }
-ROUNDS = 7
+ROUNDS, STEPS = 7, 20
+
+
+class Marching:
+    """Central differences of one law, linear elements."""
+
+    def __init__(self, law, n):
+        body = box_body(size=(1, 1, 1), cells=(n, n, n))
+        problem = Problem(body, law.model_copy(update={"density": 7800.0}), degree=1)
+        v = fem.Function(problem.V)
+        v.interpolate(lambda x: np.array([-x[1], x[0], 0.3 * x[2]]))
+        self.march = Explicit(problem, v, CentralDifferences, end=1e6, dt=None, safety=0.9)
+        self.march.scheme.assemble_forces()
+        self.seconds = np.inf
+
+    def round(self):
+        """The mean of some steps."""
+        scheme, begin = self.march.scheme, time.process_time()
+        for _ in range(STEPS):
+            scheme.advance(scheme.dt)
+        self.seconds = min(self.seconds, (time.process_time() - begin) / STEPS)
+
+    def least(self):
+        """Seconds of a step, of the slowest rank."""
+        return MPI.COMM_WORLD.allreduce(self.seconds, op=MPI.MAX)
+
+
+def explicit_ratio(laws, n):
+    """Explicit steps of the second law over those of the first."""
+    both = [Marching(law, n) for law in laws]
+    for _ in range(ROUNDS):
+        for one in both:
+            one.round()
+    elastic, other = (one.least() for one in both)
+    for one in both:
+        one.march.destroy()
+    return other / elastic
 
 
 class Timed:
@@ -95,6 +135,8 @@ def main():
             elastic, other = both
             ratios = {x: other.least(x) / elastic.least(x) for x in ("residual", "tangent")}
             ratios["commit over residual"] = other.least("commit") / elastic.least("residual")
+            if degree == 1:
+                ratios["explicit step"] = explicit_ratio(laws, n)
             if MPI.COMM_WORLD.rank == 0:
                 told = ", ".join(f"{x} {ratio:.2f}" for x, ratio in ratios.items())
                 print(f"P{degree}, {6 * n**3} cells, {name}: {told}", flush=True)

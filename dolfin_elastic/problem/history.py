@@ -103,6 +103,7 @@ class RegionHistory:
         assert isinstance(law, SteppedLaw)
         self.law = law
         self.values: dict[str, FloatArray] = {}
+        self._room: FloatArray | None = None  # of what is evaluated at the end of a step
         self._start()
 
     def _make_root(self, unknowns: tuple[Variable, ...]) -> Root:
@@ -183,10 +184,15 @@ class RegionHistory:
         """
         for name, value in self.memory.step(dt, passes=passes).items():
             self._step[name].value = value
-        for name, values in self.memory.fold(self.values, dt).items():
-            self._past[name].x.array.reshape(-1, values.shape[1])[self._rows] = values
         if self._found is not None and self._found.roots is not None:
             self._found.roots.renew()
+        past = {v.name: self._past[v.name].x.array.reshape(-1, v.size) for v in self.memory.seen}
+        if isinstance(self._rows, slice):
+            out = {name: values[self._rows] for name, values in past.items()}
+            self.memory.fold_into(self.values, dt, out)
+            return
+        for name, values in self.memory.fold(self.values, dt).items():
+            past[name][self._rows] = values
 
     @property
     def past(self) -> list[fem.Function]:
@@ -206,12 +212,19 @@ class RegionHistory:
         """
         found = self.memory.found
         size = sum(v.size for v in found)
-        result = numbers.eval(self._cells).reshape(len(self._cells), len(self.points), size)
-        now = np.einsum("nk,ckj->cnj", self._to_nodes, result).reshape(-1, size)
-        parts = np.split(now, np.cumsum([v.size for v in found])[:-1], axis=1)
+        if self._room is None:
+            self._room = np.empty((len(self._cells), len(self.points) * size))
+        now = numbers.eval(self._cells, self._room).reshape(len(self._cells), -1, size)
+        if len(self.points) > 1:
+            now = np.einsum("nk,ckj->cnj", self._to_nodes, now)
+        parts = np.split(now.reshape(-1, size), np.cumsum([v.size for v in found])[:-1], axis=1)
         by_name = {v.name: part for v, part in zip(found, parts, strict=True)}
         followed = self.memory.follow(self.values, by_name, dt)
-        self.values = {name: np.array(values) for name, values in followed.items()}
+        # What is no variable's own array stands in the room of the next evaluation.
+        self.values = {
+            name: values if values is self.values[name] else np.array(values)
+            for name, values in followed.items()
+        }
 
     def largest(self, name: str) -> float:
         """Largest value of a scalar at the points of this rank; 0 where there is none."""
@@ -354,14 +367,29 @@ class History:
         self.forget()
         self._begin_at(t, 0.0)
 
-    def _begin_at(self, t: float | None, work: float, forces: FloatArray | None = None) -> None:
+    def settle(self) -> None:
+        """Sets the laws to those of a step that begins now, see `commit`. Local."""
+        if self._step is None:
+            self.set_time(self._now)
+
+    def _begin_at(
+        self,
+        t: float | None,
+        work: float,
+        forces: FloatArray | None = None,
+        *,
+        settle: bool = True,
+    ) -> None:
         """Begins a step.
 
         Args:
             forces: Those of the branches, if they are known.
+            settle: See `commit`.
         """
         self._t, self._step, self._work = t, None, work
-        self.set_time(self._now if t is None else t)
+        self._now = self._now if t is None else t
+        if settle:
+            self.settle()
         if self.passes:
             self._compile()
             self._before = self._forces() if forces is None else forces, self._moved()
@@ -482,8 +510,13 @@ class History:
         return float(work), abs(float(change))
 
     @stage("assemble")
-    def commit(self) -> None:
-        """Makes the present state, at the present time, the past. Collective."""
+    def commit(self, *, settle: bool = True) -> None:
+        """Makes the present state, at the present time, the past. Collective.
+
+        Args:
+            settle: The laws become those of the next step. Else they stay those of this one, whose
+                stress at the present state is the same, until `set_time` or `settle`.
+        """
         if self._step is None:
             return
         self._compile()
@@ -498,7 +531,7 @@ class History:
             if self.passes or not part.memory.timed:
                 part.commit(self._at_end[name], 0.0 if self.long_term else self._step)
         # The stress of a state is that of the end of a step, and of the begin of the next.
-        self._begin_at(self._now if self.passes else None, self._work, forces)
+        self._begin_at(self._now if self.passes else None, self._work, forces, settle=settle)
 
     # --- restarts ---
 

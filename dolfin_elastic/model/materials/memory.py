@@ -141,12 +141,18 @@ class Memory(ABC):
         """`seen`, from the variables at the start of a step of a length [s]."""
         return values
 
+    def fold_into(self, values: Values, dt: float, out: Values) -> None:
+        """Writes what `fold` gives into arrays."""
+        for name, numbers in self.fold(values, dt).items():
+            out[name][...] = numbers
+
     def follow(self, values: Values, found: Values, dt: float) -> Values:
         """The variables at the end of a step of a length [s].
 
         Args:
-            values: The variables as the step began, at the nodes.
-            found: Of `found`, at its end.
+            values: The variables as the step began, at the nodes; they may be overwritten and
+                returned.
+            found: Of `found`, at its end; the result may contain these arrays.
         """
         return found
 

@@ -21,7 +21,7 @@ Methods Eng. 2 (1970) 45.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -39,6 +39,10 @@ from dolfin_elastic.model.kinematics import (
 from dolfin_elastic.model.materials.law import Law, SplitLaw, once
 from dolfin_elastic.model.materials.memory import Memory, Values, Variable
 from dolfin_elastic.model.materials.stepped import SteppedLaw, SteppedSplitLaw
+
+_ROWS = 2048
+"""Points whose history is changed at once: a tensor of each takes 98 kB, so that those of a few
+branches stay in the second cache."""
 
 
 class Viscous(Law):
@@ -216,6 +220,7 @@ class Relaxation(Memory):
         self._ratios, self._times = law.series
         self._names = [f"h{i + 1}" for i in range(len(self._times))]
         self.variables = tuple(Variable(name, "symmetric") for name in ("S", *self._names))
+        self._room = np.empty((2, _ROWS, 6))
 
     def _weights(self, dt: float) -> tuple[FloatArray, FloatArray]:
         """e and f of each branch."""
@@ -240,15 +245,33 @@ class Relaxation(Memory):
 
     def fold(self, values: Values, dt: float) -> Values:
         """See `Memory`: H."""
-        e, f = self._weights(dt)
-        H = -float(self._ratios @ f) * values["S"]
-        for weight, name in zip(self._ratios * e, self._names, strict=True):
-            H += weight * values[name]
+        H = np.empty_like(values["S"])
+        self.fold_into(values, dt, {"H": H})
         return {"H": H}
 
-    def follow(self, values: Values, found: Values, dt: float) -> Values:
+    def fold_into(self, values: Values, dt: float, out: Values) -> None:
         """See `Memory`."""
         e, f = self._weights(dt)
-        change = found["S"] - values["S"]
-        branches = {n: e[i] * values[n] + f[i] * change for i, n in enumerate(self._names)}
-        return {"S": found["S"], **branches}
+        instant, past = -float(self._ratios @ f), self._ratios * e
+        for rows, (part, _) in self._parts(len(values["S"])):
+            H = np.multiply(values["S"][rows], instant, out=out["H"][rows])
+            for weight, name in zip(past, self._names, strict=True):
+                H += np.multiply(values[name][rows], weight, out=part)
+
+    def follow(self, values: Values, found: Values, dt: float) -> Values:
+        """See `Memory`: in place."""
+        e, f = self._weights(dt)
+        for rows, (part, change) in self._parts(len(values["S"])):
+            np.subtract(found["S"][rows], values["S"][rows], out=change)
+            for i, name in enumerate(self._names):
+                h = values[name][rows]
+                h *= e[i]
+                h += np.multiply(change, f[i], out=part)
+            values["S"][rows] = found["S"][rows]
+        return values
+
+    def _parts(self, count: int) -> Iterator[tuple[slice, FloatArray]]:
+        """Rows that fit into the cache together, with room for two tensors in each."""
+        for begin in range(0, count, _ROWS):
+            rows = slice(begin, min(begin + _ROWS, count))
+            yield rows, self._room[:, : rows.stop - begin]

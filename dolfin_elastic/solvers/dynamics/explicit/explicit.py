@@ -147,6 +147,7 @@ class Explicit:
             except StabilityError as error:  # raised on all ranks
                 raise Replay(self, self._monitor, self._last).unstable_step(error) from None
             if self._due(before) or self._ended:
+                self.scheme.settle()
                 self.scheme.synchronise()
                 state = self._checked_state()
                 if self._drifts(state):
@@ -189,6 +190,7 @@ class Explicit:
         Raises:
             StabilityError: It is not finite, and no state to go on from.
         """
+        self.scheme.settle()
         if not self.finite():
             raise Replay(self, self._monitor, self._last).not_finite()
         scheme = self.scheme
@@ -231,6 +233,7 @@ class Explicit:
         """One step; the stable step is found anew before it where that is due. Collective."""
         scheme = self.scheme
         if scheme.steps == self.size.next_check:
+            scheme.settle()
             self.size.update(scheme.steps, scheme.t)
         scheme.advance(min(self.size.dt, self.end - scheme.t))
 

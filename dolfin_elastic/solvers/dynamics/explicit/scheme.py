@@ -246,15 +246,23 @@ class ExplicitScheme(ABC):
         if self._work.paths:
             self._work.step(du)
         timing.add("assemble", perf_counter() - middle)
-        self.commit()
+        self.commit(settle=False)
 
-    def commit(self) -> None:
+    def commit(self, *, settle: bool = True) -> None:
         """Makes the present state the past of materials that remember. Collective.
 
         No step is ever taken back, and the forces of this one are there already.
+
+        Args:
+            settle: See `History.commit`.
         """
         if self._history is not None:
-            self._history.commit()
+            self._history.commit(settle=settle)
+
+    def settle(self) -> None:
+        """Has materials that remember begin the next step, before their stiffness is asked for."""
+        if self._history is not None:
+            self._history.settle()
 
     def _without_round_off(self, t: float) -> float:
         """A time without the round-off of a sum: of equal steps, and the end."""
