@@ -15,10 +15,13 @@ from dolfin_elastic.core.errors import CaseError, InputError, nearest
 from dolfin_elastic.core.files.regular import fresh
 from dolfin_elastic.core.schema import known_keys
 from dolfin_elastic.core.startup.elsewhere import plain_matplotlib
+from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.core.units import stress_unit
 from dolfin_elastic.model.materials.law import Law
 from dolfin_elastic.model.materials.library import alike, in_words, library
+from dolfin_elastic.model.materials.plasticity import Plastic
 from dolfin_elastic.model.materials.registry import MATERIALS
+from dolfin_elastic.model.point.cyclic_curve import CyclicCurve
 from dolfin_elastic.model.point.homogeneous_tests import ResponseCurve
 from dolfin_elastic.model.point.report import MaterialReport
 from dolfin_elastic.model.point.viscous_curves import ViscousCurves
@@ -33,6 +36,8 @@ _PARTS = ("11", "22", "33", "12", "13", "23")
 _STRETCH = 2.0
 _STIFF = 1.02
 """Largest stretch of the curves of a material that is stiffer than `_HARD`."""
+_YIELD_STRAINS = 10.0
+"""The same of a metal, over its strain at yield: the curves show how it hardens."""
 _HARD = 5e8
 """Young's modulus [Pa] between soft and stiff materials: metals, wood and bone lie above it,
 rubbers and tissues below."""
@@ -42,6 +47,8 @@ def usual_stretch(law: Law) -> float:
     """Largest stretch of a law's curves: stiff solids bear little of it."""
     from dolfin_elastic.problem.material_regions import young
 
+    if isinstance(law, Plastic) and law.first_yield is not None and isinstance(law.E, float):
+        return 1 + _YIELD_STRAINS * law.first_yield / law.E
     try:
         return _STIFF if young(law) > _HARD else _STRETCH
     except (TypeError, ValueError, AttributeError):
@@ -168,7 +175,7 @@ def _parameters(kind: type[Law]) -> dict[str, str]:
 
 
 def write(name: str, report: MaterialReport, folder: Path) -> list[Path]:
-    """Writes a CSV file for each curve, and one picture of all; of what relaxes another.
+    """Writes a CSV file for each curve, and one picture of all; of what relaxes or yields another.
 
     Not collective.
 
@@ -192,6 +199,8 @@ def write(name: str, report: MaterialReport, folder: Path) -> list[Path]:
         _draw(name, report, paths[-1])
     if report.viscous is not None:
         paths += _write_viscous(folder / f"{_file_name(name)}", report.viscous)
+    if report.cyclic is not None:
+        paths += _write_cyclic(folder / f"{_file_name(name)}", report.cyclic)
     return paths
 
 
@@ -215,12 +224,56 @@ def _write_viscous(begin: Path, curves: ViscousCurves) -> list[Path]:
     paths = []
     for what, columns in (("relaxation", over_time), ("oscillation", over_frequency)):
         paths.append(begin.with_name(f"{begin.name}_{what}.csv"))
-        rows = np.column_stack(list(columns.values()))
-        lines = [",".join(f"{value:.12g}" for value in row) for row in rows]
-        replace_text(paths[-1], "\n".join([",".join(columns), *lines]) + "\n")
+        replace_text(paths[-1], _columns(columns))
     paths.append(begin.with_name(f"{begin.name}_relaxation.png"))
     _draw_viscous(curves, paths[-1])
     return paths
+
+
+def _columns(columns: Mapping[str, FloatArray]) -> str:
+    """Columns of equal length by name, as CSV."""
+    rows = np.column_stack(list(columns.values()))
+    lines = [",".join(f"{value:.12g}" for value in row) for row in rows]
+    return "\n".join([",".join(columns), *lines]) + "\n"
+
+
+def _write_cyclic(begin: Path, curve: CyclicCurve) -> list[Path]:
+    """A table and a picture of the cycles of a metal.
+
+    Args:
+        begin: Of the files' names, with their folder.
+    """
+    columns = {
+        "stretch": curve.stretch,
+        "lateral_stretch": curve.lateral,
+        "strain": curve.strain,
+        "stress": curve.stress,
+        "nominal_stress": curve.nominal,
+        "cauchy_stress": curve.cauchy,
+        "plastic_strain": curve.plastic,
+    }
+    paths = [begin.with_name(f"{begin.name}_cyclic{end}") for end in (".csv", ".png")]
+    replace_text(paths[0], _columns(columns))
+    _draw_cyclic(curve, paths[1])
+    return paths
+
+
+@plain_matplotlib()
+def _draw_cyclic(curve: CyclicCurve, path: Path) -> None:
+    """Stress over strain."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(6.4, 4.8), layout="constrained")
+    FigureCanvasAgg(figure)
+    axis = figure.subplots()
+    size, unit = stress_unit(float(np.abs(curve.stress).max()))
+    axis.plot(100 * curve.strain, curve.stress / size, color="#1f5f8b")
+    axis.plot([0], [0], "o", color="#303840", markersize=3)
+    strain, stress = curve.measures
+    axis.set(title="uniaxial, cycles", xlabel=f"{strain} [%]", ylabel=f"{stress} [{unit}]")
+    axis.grid(color="#dde1e5")
+    _save(figure, path)
 
 
 @plain_matplotlib()

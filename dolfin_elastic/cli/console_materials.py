@@ -16,6 +16,7 @@ from dolfin_elastic.cli.terminal import Screen
 from dolfin_elastic.model.materials.library import in_words, library
 
 if TYPE_CHECKING:
+    from dolfin_elastic.model.point.cyclic_curve import CyclicCurve
     from dolfin_elastic.model.point.report import MaterialReport
     from dolfin_elastic.model.point.viscous_curves import ViscousCurves
 
@@ -53,6 +54,7 @@ def report_table(report: MaterialReport) -> dict[str, object]:
             for name, curve in report.curves.items()
         },
         **({} if report.viscous is None else {"viscous": _viscous(report.viscous)}),
+        **({} if report.cyclic is None else {"cyclic": _cyclic(report.cyclic)}),
     }
 
 
@@ -65,6 +67,16 @@ def _viscous(curves: ViscousCurves) -> dict[str, object]:
         "storage": curves.storage.tolist(),
         "loss": curves.loss.tolist(),
         "mu": curves.mu,
+    }
+
+
+def _cyclic(curve: CyclicCurve) -> dict[str, object]:
+    """States of uniaxial stress, in their order."""
+    return {
+        "stretch": curve.stretch.tolist(),
+        "strain": curve.strain.tolist(),
+        "stress": curve.stress.tolist(),
+        "plastic_strain": curve.plastic.tolist(),
     }
 
 

@@ -22,7 +22,7 @@ def material(
     ] = None,
     stretch: Annotated[
         float | None,
-        typer.Option("--stretch", help="Largest stretch of the curves (2; 1.02 of stiff ones)."),
+        typer.Option("--stretch", help="Largest stretch of the curves (2; 1.02 if stiff)."),
     ] = None,
     output: Annotated[
         Path | None,
@@ -40,7 +40,7 @@ def material(
       dolfin-elastic material                   list the library
 
     Checks what every material must keep, says how far it goes, and draws its curves: uniaxial,
-    equibiaxial, planar, simple shear, volumetric.
+    equibiaxial, planar, simple shear, volumetric; of metals that yield a few cycles.
     """
     start()
     from mpi4py import MPI

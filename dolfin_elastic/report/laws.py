@@ -15,6 +15,7 @@ from dolfin_elastic.core.si_text import given, scaled_unit
 from dolfin_elastic.model.materials.registry import MATERIALS
 from dolfin_elastic.model.materials.spatial import units_of
 from dolfin_elastic.model.materials.user import SplitFormulaEnergy
+from dolfin_elastic.model.point.cyclic_curve import CyclicCurve
 from dolfin_elastic.model.point.homogeneous_tests import ResponseCurve
 from dolfin_elastic.model.point.report import material_report
 from dolfin_elastic.model.point.viscous_curves import ViscousCurves
@@ -34,11 +35,11 @@ class MaterialText:
         name: In the case.
         law: Name of its law.
         where: The parts that it fills.
-        constants: Name and value as they were given, and what follows of relaxation.
+        constants: Name and value as they were given, and what follows of relaxation and yield.
         what: One sentence about the law.
         formula: Its energy or stress.
         source: Where it was published.
-        charts: Stress over stretch and over shear; moduli over time and frequency.
+        charts: Stress over stretch and over shear, and over cycles; moduli over time and frequency.
         notes: What its tests at a point have found, or why there are no curves.
     """
 
@@ -63,13 +64,13 @@ def materials_of(case: Table) -> list[MaterialText]:
         table = row if isinstance(row, Mapping) else {}
         law = str(table.get("law", "energy" if "energy" in table else ""))
         page = known.get(law, {})
-        charts, notes, relaxation = _tested(name, table) if k < _DRAWN else ((), (), ())
+        charts, notes, inelastic = _tested(name, table) if k < _DRAWN else ((), (), ())
         result.append(
             MaterialText(
                 name=str(name),
                 law=law,
                 where=names(part_names(table)),
-                constants=(*_constants(table, law), *relaxation),
+                constants=(*_constants(table, law), *inelastic),
                 what=str(page.get("what", "")),
                 formula=str(page.get("formula", "")),
                 source=str(page.get("source", "")),
@@ -110,7 +111,7 @@ def _parameters(table: object) -> str:
 def _tested(
     name: str, table: Table
 ) -> tuple[tuple[Markup, ...], tuple[str, ...], tuple[tuple[str, str], ...]]:
-    """Curves and notes of a material, and its relaxation as a constant."""
+    """Curves and notes of a material; its relaxation and its cycles as constants."""
     try:
         law = read_material_tables({name: dict(table)})[name].law
         report = material_report(law, largest=usual_stretch(law))
@@ -119,16 +120,19 @@ def _tested(
     except (ArithmeticError, ValueError, KeyError, TypeError) as error:
         return (), (f"No curves: the material cannot be tried at a point ({error})",), ()
     failed = tuple(f"{row.check}: {row.text}" for row in report.failed)
-    relaxation = tuple((f.check, f.text) for f in report.findings if f.check == "relaxation")
+    wanted = ("relaxation", "cycles")
+    inelastic = tuple((f.check, f.text) for f in report.findings if f.check in wanted)
     if not report.curves:
-        return (), (*failed, *report.notes), relaxation
+        return (), (*failed, *report.notes), inelastic
     modes = ("uniaxial", "equibiaxial", "planar")
     stretched = [c for c in report.curves.values() if c.mode.name in modes]
     sheared = [c for c in report.curves.values() if c.mode.rest == 0]
     charts = [_chart(part) for part in (stretched, sheared) if part]
     if report.viscous is not None:
         charts += _viscous_charts(report.viscous)
-    return tuple(charts), (*failed, *([law.warning] if law.warning else [])), relaxation
+    if report.cyclic is not None:
+        charts.append(_cyclic_chart(report.cyclic))
+    return tuple(charts), (*failed, *([law.warning] if law.warning else [])), inelastic
 
 
 def _viscous_charts(curves: ViscousCurves) -> list[Markup]:
@@ -146,6 +150,16 @@ def _viscous_charts(curves: ViscousCurves) -> list[Markup]:
         line_chart(over_time, time, up, title=f"{up.label} over time"),
         line_chart(over_frequency, hertz, up, title=f"{up.label} over frequency"),
     ]
+
+
+def _cyclic_chart(curve: CyclicCurve) -> Markup:
+    """Stress of a metal over some cycles of strain."""
+    factor, unit = scaled_unit(float(np.abs(curve.stress).max()), "Pa")
+    across, up = curve.measures
+    percent = np.asarray(100 * curve.strain, dtype=np.float64)
+    lines = [Line("uniaxial", percent, np.asarray(curve.stress / factor, dtype=np.float64))]
+    title = f"{up} over {across}, in cycles"
+    return line_chart(lines, Axis(f"{across} [%]"), Axis(f"{up} [{unit}]"), title=title)
 
 
 def _chart(curves: list[ResponseCurve]) -> Markup:

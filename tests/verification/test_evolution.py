@@ -19,9 +19,10 @@ from helpers.checkpoints import through_json
 from dolfin_elastic import Dynamics, Energy, Problem, Statics, Support, box_body, rectangle_body
 from dolfin_elastic.case.tables import Material
 from dolfin_elastic.core.errors import ConvergenceError, InputError
+from dolfin_elastic.model.kinematics import variables
 from dolfin_elastic.model.point.checks import check_energy
 from dolfin_elastic.model.point.history import history
-from dolfin_elastic.model.point.steps import PointSteps
+from dolfin_elastic.model.point.steps import PointOverSteps
 from dolfin_elastic.model.point.tested import LawUnderTest
 from dolfin_elastic.problem.state import State
 
@@ -87,17 +88,18 @@ def forces(problem: Problem, **keys: Any) -> np.ndarray:
 GOAL = np.array([[0.3, 0.1, 0.6], [0.0, -0.1, 0.0], [0.0, 0.0, 0.05]])
 
 
-def along(law: Any, steps: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Numbers of Cv, P and the tangent at the end of a ramp within a second."""
-    point, dt = PointSteps(law), 1 / steps
-    values = point.start(1)
+def along(law: Any, steps: int) -> tuple[np.ndarray, np.ndarray]:
+    """Numbers of Cv, and the tangent at the end of a ramp within a second."""
+    point, dt = PointOverSteps(law), 1 / steps
+    H, variable = variables(point.F)
+    tangent = point.quantity(ufl.diff(point.law.stress(variable), H))
     for k in range(steps):
         F = (np.eye(3) + (k + 1) * dt * GOAL)[None]
-        step = point.step(F, values, dt)
-        assert step.found.all()
-        before, values = values, point.follow(F, values, dt, step)
-    del before
-    return values["Cv"][0], point.stress(F, step.inputs)[0], point.tangent(F, step.inputs)[0]
+        assert point.found(F, dt=dt).all()
+        last = tangent(F, dt=dt)[0] if k == steps - 1 else None
+        point.commit(F, dt=dt)
+    assert last is not None
+    return point.values["Cv"][0], last
 
 
 def test_a_ramp_of_large_strains() -> None:
@@ -113,7 +115,7 @@ def test_a_ramp_of_large_strains() -> None:
     wanted = end.y[:, -1].reshape(3, 3)[[0, 1, 2, 0, 1, 0], [0, 1, 2, 1, 2, 2]]
     law, errors = law_of(MAXWELL), []
     for steps in (50, 100, 200):
-        Cv, _, A = along(law, steps)
+        Cv, A = along(law, steps)
         errors.append(np.abs(Cv - wanted).max())
         # symmetric, for the step has a potential
         assert np.abs(A - A.transpose(2, 3, 0, 1)).max() < 1e-14 * np.abs(A).max()
@@ -126,24 +128,21 @@ def test_a_ramp_of_large_strains() -> None:
 @pytest.mark.parametrize("law", [MAXWELL, J2], ids=["rate", "residual"])
 def test_the_tangent_is_that_of_differences(law: dict[str, Any]) -> None:
     """dP/dF of the implicit function theorem, of bodies that were strained before."""
-    point = PointSteps(law_of(law))
+    point = PointOverSteps(law_of(law))
+    H, variable = variables(point.F)
+    stress = point.quantity(point.law.stress(point.F))
+    tangent = point.quantity(ufl.diff(point.law.stress(variable), H))
     size = 0.3 if law is MAXWELL else 0.005
     draw = np.random.default_rng(2)
     before, F = (np.eye(3) + size * draw.uniform(-1, 1, (6, 3, 3)) for _ in range(2))
-    values = point.start(6)
-    values = point.follow(before, values, 0.2, point.step(before, values, 0.2))
-
-    def stress(F: np.ndarray) -> np.ndarray:
-        step = point.step(F, values, 0.2)
-        assert step.found.all()
-        return point.stress(F, step.inputs)
-
-    A = point.tangent(F, point.step(F, values, 0.2).inputs)
+    point.commit(before, dt=0.2)
+    assert point.found(F, dt=0.2).all()
+    A = tangent(F, dt=0.2)
     h, found = 1e-4 * size, np.zeros_like(A)
     for i, j in np.ndindex(3, 3):
         D = np.zeros((3, 3))
         D[i, j] = h
-        coarse, fine = (stress(F + k * D) - stress(F - k * D) for k in (2, 1))
+        coarse, fine = (stress(F + k * D, dt=0.2) - stress(F - k * D, dt=0.2) for k in (2, 1))
         found[..., i, j] = (8 * fine - coarse) / (12 * h)
     # of differences of order four with a step of 1e-4 of the strains: round-off of 1e-12 over that
     assert np.abs(A - found).max() < 1e-8 * np.abs(A).max()

@@ -297,14 +297,14 @@ def relaxation(tested: LawUnderTest) -> Iterator[Finding]:
 
 
 def yielding(tested: LawUnderTest) -> Iterator[Finding]:
-    """Where a metal yields, beyond which the other tests are of the elastic law alone."""
+    """Where a metal yields: tests of other strains than those of cycles are of the elastic law."""
     law = tested.given
     if not isinstance(law, Plastic) or law.first_yield is None or not isinstance(law.E, float):
         return
     strain = law.first_yield / law.E
     text = (
         f"in tension at {quantity(law.first_yield, 'Pa')}, a strain of {percent(strain)}; all "
-        "other tests and curves here are of the elastic law"
+        "tests and curves but the cycles are of the elastic law"
     )
     yield note("yields", text, stress=law.first_yield, strain=strain)
 

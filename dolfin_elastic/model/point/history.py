@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from typing import TypeAlias
 
 import numpy as np
+import ufl
 
 from dolfin_elastic.core.si_text import percent, quantity
 from dolfin_elastic.core.types import AnyArray, FloatArray
+from dolfin_elastic.model.kinematics import variables
 from dolfin_elastic.model.materials.law import Law
 from dolfin_elastic.model.materials.written.history import Remembering, SteppedUser
 from dolfin_elastic.model.materials.written.implicit import LOST
-from dolfin_elastic.model.point.steps import PointSteps, Values
+from dolfin_elastic.model.point.steps import PointOverSteps
 from dolfin_elastic.model.point.tested import (
     ROUND_OFF,
     Finding,
@@ -35,25 +38,36 @@ _FASTEST, _SLOWEST = -4.0, 2.0
 """Decades of the lengths of their steps [s], which come in any order."""
 
 
-class _Steps(PointSteps):
+Values: TypeAlias = Mapping[str, FloatArray]
+
+
+class _Steps(PointOverSteps):
     """A user's law over steps at points."""
 
     def __init__(self, law: Remembering) -> None:
         super().__init__(law)
-        self.names = tuple(law.history)
+        self.start, self._names = dict(self.values), tuple(law.history)
         self.lengths = _STEPS if law.timed else _STEPS[:1]
+        self._stress = self.quantity(self.law.stress(self.F))
 
-    def after(self, F: AnyArray, values: Values, dt: float) -> tuple[Values, FloatArray]:
-        """The history after a step, and P [Pa]; NaN where its equations have no root."""
-        step = self.step(F, values, dt)
-        end, P = self.follow(F, values, dt, step), self.stress(F, step.inputs)
-        for value in (*end.values(), P):
-            value[~step.found] = np.nan
-        return end, P
+    def after(self, F: AnyArray, values: Values, dt: float) -> dict[str, FloatArray]:
+        """The history after a step; NaN where its equations have no root."""
+        self.values = dict(values)
+        lost = ~self.found(F, dt=dt)
+        return {
+            name: np.where(lost[:, None], np.nan, value)
+            for name, value in self.at_end(F, dt=dt).items()
+        }
 
-    def numbers(self, values: Values) -> FloatArray:
-        """Those of the user's own history, shape (n, m)."""
-        return np.hstack([values[name] for name in self.names])
+    def numbers(self, F: AnyArray, values: Values, dt: float) -> FloatArray:
+        """Those of the user's own history after a step, shape (n, m)."""
+        end = self.after(F, values, dt)
+        return np.hstack([end[name] for name in self._names])
+
+    def stress(self, F: AnyArray, values: Values, dt: float) -> FloatArray:
+        """P at the end of a step [Pa], shape (n, 3, 3); NaN where its equations have no root."""
+        self.values = dict(values)
+        return np.where(self.found(F, dt=dt)[:, None, None], self._stress(F, dt=dt), np.nan)
 
 
 def changes_at_rest(law: Law) -> str:
@@ -62,9 +76,9 @@ def changes_at_rest(law: Law) -> str:
         return ""
     steps = _Steps(law)
     names = [name for name, v in law.history.items() for _ in range(v.size)]
-    start = steps.numbers(steps.start(1))[0]
+    start = np.hstack([steps.start[name] for name in law.history])[0]
     for dt in steps.lengths:
-        end = steps.numbers(steps.after(I[None], steps.start(1), dt)[0])[0]
+        end = steps.numbers(I[None], steps.start, dt)[0]
         off = np.abs(end - start) > ROUND_OFF * np.maximum(np.abs(start), 1.0)
         if off.any():
             i = int(np.argmax(off))
@@ -81,7 +95,7 @@ def history(tested: LawUnderTest) -> Iterator[Finding]:
     steps = _Steps(law)
     near = np.concatenate([I[None], tested.near])
     for dt in steps.lengths:
-        if not np.isfinite(steps.numbers(steps.after(near, steps.start(len(near)), dt)[0])).all():
+        if not np.isfinite(steps.numbers(near, steps.start, dt)).all():
             what = "its equations have no root that is found" if law.evolves else "not finite"
             text = f"{what} at rest or at strains of a few per cent, with dt = {dt:g} s"
             yield found("finite history", False, text)
@@ -105,9 +119,7 @@ def _turned(tested: LawUnderTest, law: Remembering, steps: _Steps) -> Iterator[F
     F, error = tested.near, 0.0
     Q = tested.rotations[: len(F)]
     for dt in steps.lengths:
-        ends, turned = (
-            steps.numbers(steps.after(G, steps.start(len(F)), dt)[0]) for G in (F, Q @ F)
-        )
+        ends, turned = (steps.numbers(G, steps.start, dt) for G in (F, Q @ F))
         error = max(error, relative(turned, ends, _TINY))
     good = error <= 1e3 * ROUND_OFF
     text = f"largest difference {error:.2g}"
@@ -119,12 +131,11 @@ def _turned(tested: LawUnderTest, law: Remembering, steps: _Steps) -> Iterator[F
 
 def _skew(law: Remembering, steps: _Steps, F: AnyArray) -> float:
     """Largest asymmetry of the formulas of tensors in the second step, over their largest entry."""
-    error, (before, _) = 0.0, steps.after(F[::-1], steps.start(len(F)), 1.0)
-    inputs = steps.step(F, before, 1.0).inputs
+    error, steps.values = 0.0, steps.after(F[::-1], steps.start, 1.0)
     assert isinstance(steps.law, SteppedUser)
     for name, formula in steps.law.formulas(steps.F).items():
         if law.history[name].shape != "scalar":
-            value = steps.program(formula)(F, inputs)
+            value = steps.quantity(formula)(F, dt=1.0)
             error = max(error, relative(value, value.transpose(0, 2, 1), _TINY))
     return error
 
@@ -132,10 +143,8 @@ def _skew(law: Remembering, steps: _Steps, F: AnyArray) -> float:
 def _after_a_step(tested: LawUnderTest, steps: _Steps) -> Iterator[Finding]:
     """The stress of the second step, of a body that was strained, is finite and turns with it."""
     F = tested.near
-    end, _ = steps.after(F[:1], steps.start(1), 1.0)
-    past = {name: np.repeat(value, len(F), axis=0) for name, value in end.items()}
-    Q = tested.rotations[: len(F)]
-    (_, P), (_, turned) = (steps.after(G, past, 1.0) for G in (F, Q @ F))
+    past, Q = steps.after(F[:1], steps.start, 1.0), tested.rotations[: len(F)]
+    P, turned = (steps.stress(G, past, 1.0) for G in (F, Q @ F))
     if not np.isfinite(P).all():
         yield found("second step", False, "the stress after a step of 1 s is not finite")
         return
@@ -151,13 +160,13 @@ def _after_a_step(tested: LawUnderTest, steps: _Steps) -> Iterator[Finding]:
 def _dissipation(law: Remembering, steps: _Steps) -> Iterator[Finding]:
     """-dpsi/dx : dx is nowhere negative on random paths of fast and slow steps."""
     draw = np.random.default_rng(9)
-    values, good = steps.start(_PATHS), np.ones(_PATHS, dtype=bool)
+    values = {name: np.repeat(value, _PATHS, axis=0) for name, value in steps.start.items()}
+    good = np.ones(_PATHS, dtype=bool)
     negative, most = np.zeros(_PATHS, dtype=bool), 0.0
     for dt in map(float, draw.permutation(np.logspace(_FASTEST, _SLOWEST, _LONG))):
         F = I + _STRAINED * draw.uniform(-1, 1, (_PATHS, 3, 3)) / np.sqrt(3)
-        step = steps.step(F, values, dt)
-        end = steps.follow(F, values, dt, step)
-        good &= step.found & np.isfinite(steps.numbers(end)).all(axis=1)
+        end = steps.after(F, values, dt)
+        good &= np.isfinite(np.hstack([*end.values()])).all(axis=1)
         change = (end[LOST.name] - values[LOST.name])[:, 0]
         most = max(most, float(np.abs(change[good]).max(initial=0.0)))
         negative |= good & (change < -ROUND_OFF * most)
@@ -185,8 +194,9 @@ def _dissipation(law: Remembering, steps: _Steps) -> Iterator[Finding]:
 def _symmetry(tested: LawUnderTest, steps: _Steps) -> Iterator[Finding]:
     """Whether the tangent of a step is symmetric, in bodies that were strained before."""
     F = tested.near
-    values, _ = steps.after(F[::-1], steps.start(len(F)), 1.0)
-    A = steps.tangent(F, steps.step(F, values, 1.0).inputs)
+    steps.values = steps.after(F[::-1], steps.start, 1.0)
+    H, variable = variables(steps.F)
+    A = steps.quantity(ufl.diff(steps.law.stress(variable), H))(F, dt=1.0)
     skew = relative(A, A.transpose(0, 3, 4, 1, 2), tested.scale)
     symmetric = skew < ROUND_OFF
     text = f"asymmetry {skew:.2g}"

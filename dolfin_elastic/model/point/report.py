@@ -10,6 +10,7 @@ from dolfin_elastic.core.errors import InputError, keyed
 from dolfin_elastic.core.help.notebook import Shown
 from dolfin_elastic.model.materials.law import Law
 from dolfin_elastic.model.point.checks import checks
+from dolfin_elastic.model.point.cyclic_curve import CyclicCurve, cyclic_curve, cyclic_findings
 from dolfin_elastic.model.point.ellipticity import ellipticity, energy_growth
 from dolfin_elastic.model.point.homogeneous_tests import (
     DEFORMATION_MODES,
@@ -33,6 +34,7 @@ class MaterialReport(Shown):
         curves: Name of a mode to its response; empty if the law is not finite near F = I.
         notes: Remarks: warnings, replaced constants, ends of curves.
         viscous: Relaxation over time, storage and loss over frequency; None: nothing relaxes.
+        cyclic: Uniaxial stress of a metal that yields, over some cycles; None: nothing yields.
     """
 
     law: Law
@@ -40,6 +42,7 @@ class MaterialReport(Shown):
     curves: dict[str, ResponseCurve]
     notes: tuple[str, ...]
     viscous: ViscousCurves | None = None
+    cyclic: CyclicCurve | None = None
 
     @property
     def failed(self) -> tuple[Finding, ...]:
@@ -84,5 +87,7 @@ def material_report(law: Law, *, largest: float = LARGEST) -> MaterialReport:
             for mode in DEFORMATION_MODES
         }
         findings += [*energy_growth(tested), *ellipticity(tested, curves)]
+        cyclic = cyclic_curve(tested.law, largest)
+    findings += [] if cyclic is None else cyclic_findings(cyclic)
     notes += [end for curve in curves.values() for end in curve.ends]
-    return MaterialReport(law, tuple(findings), curves, tuple(notes), viscous_curves(law))
+    return MaterialReport(law, tuple(findings), curves, tuple(notes), viscous_curves(law), cyclic)

@@ -1,9 +1,8 @@
-"""A law that remembers over time steps, evaluated by numpy at many points at once."""
+"""A law that remembers at points, step by step, evaluated by numpy without a mesh."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
 from functools import cached_property
 
 import numpy as np
@@ -11,8 +10,8 @@ import ufl
 from ufl.algorithms import expand_derivatives
 from ufl.core.expr import Expr
 
-from dolfin_elastic.core.types import BoolArray, FloatArray
-from dolfin_elastic.model.kinematics import gradient_symbol, variables
+from dolfin_elastic.core.types import BoolArray, FloatArray, IndexArray
+from dolfin_elastic.model.kinematics import gradient_symbol
 from dolfin_elastic.model.materials.law import Law
 from dolfin_elastic.model.materials.memory import (
     ImplicitMemory,
@@ -24,162 +23,163 @@ from dolfin_elastic.model.materials.memory import (
 from dolfin_elastic.model.materials.stepped import SteppedLaw
 from dolfin_elastic.model.point.ufl_to_numpy import NumpyProgram
 
-MOST = 40
+MOST = 60
 ENOUGH = 1e-11
 """Last step of Newton's method, over the size of z."""
 SMALLEST = 1e-4
+"""Share of a step of Newton's method below which there is no root."""
+LEAST = 1e-3
+"""Of strains: below it the size of z does not count."""
 
-Values = dict[str, FloatArray]
-"""Name of a variable to its numbers at points, shape (n, size)."""
-
-
-@dataclass(frozen=True)
-class PointStep:
-    """What a step has found.
-
-    Attributes:
-        inputs: Numbers of the programs: the past, constants of the step, and of implicit laws z and
-            the inverse of dr/dz, shape (n, m).
-        found: Of the equations at all points; False where Newton's method has failed.
-    """
-
-    inputs: FloatArray
-    found: BoolArray
+Quantity = Callable[..., FloatArray]
+"""Function of values of the point's symbols, shape (n, ...), and of the step's length `dt` [s]."""
 
 
-class PointSteps:
-    """A law over steps at points, each of backward Euler as in a body.
+class PointOverSteps:
+    """What `problem.history.RegionHistory` is to a region, at points.
+
+    Equations of a step are solved as `core.jit.point_roots` does.
 
     Args:
-        law: One that remembers, with a number for every constant.
+        law: One with a `memory`; its history begins with the body at rest.
+        F: The deformation gradient as a UFL expression of shape (3, 3); None: it is the symbol.
+        symbols: The UFL constants of which F is made.
 
     Attributes:
-        memory: What the law remembers, and how that follows from a step.
-        F: UFL's symbol of the deformation gradient, shape (3, 3).
-        law: The law over a step, whose past and whose constants are symbols, too.
+        F: The deformation gradient in UFL.
+        law: Over one step.
+        values: Of the variables, as they were committed, by name; shape (n, size), or (1, size) of
+            all points.
     """
 
-    def __init__(self, law: Law) -> None:
+    def __init__(self, law: Law, F: Expr | None = None, symbols: Sequence[Expr] = ()) -> None:
         memory = law.memory
         assert memory is not None
-        self.memory = memory
-        self.F = gradient_symbol()
-        self._names = list(memory.step(1.0, passes=True))
-        self._unknowns = memory.unknowns if isinstance(memory, ImplicitMemory) else ()
-        self._z = sum(v.size for v in self._unknowns)
-        past = sum(v.size for v in memory.seen)
-        self._first = past + len(self._names)
-        size = max(self._first + self._z + self._z**2, 1)
-        self._symbol = ufl.Constant(self.F.ufl_domain(), (size,))
-        self.law = self._over_step()
+        self.F = gradient_symbol() if F is None else F
+        self._memory, self._symbols = memory, (self.F,) if F is None else tuple(symbols)
+        domain = self._symbols[0].ufl_domain()
+        self._past = {v.name: ufl.Constant(domain, (v.size,)) for v in memory.seen}
+        self._step = {name: ufl.Constant(domain) for name in memory.step(0.0, passes=True)}
+        past = {v.name: v.value(self._past[v.name]) for v in memory.seen}
+        stepped: OverStep = memory.over_step(past, self._step)
+        self._of_root: tuple[Expr, ...] = ()
+        if isinstance(memory, ImplicitMemory):
+            size = sum(v.size for v in memory.unknowns)
+            self._of_root = ufl.Constant(domain, (size,)), ufl.Constant(domain, (size**2,))
+            root = Root(memory.unknowns, *self._of_root)
+            stepped = memory.with_root(past, self._step, root)
+        assert isinstance(stepped, SteppedLaw)
+        self.law, self.values = stepped, {v.name: v.at_start[None] for v in memory.variables}
 
-    def _over_step(self) -> SteppedLaw:
-        at, past = 0, {}
-        for v in self.memory.seen:
-            past[v.name] = v.value(self._numbers(at, v.size))
-            at += v.size
-        step = {name: self._symbol[at + i] for i, name in enumerate(self._names)}
-        law: OverStep = self.memory.over_step(past, step)
-        if isinstance(self.memory, ImplicitMemory):
-            z = self._numbers(self._first, self._z)
-            inverse = self._numbers(self._first + self._z, self._z**2)
-            law = self.memory.with_root(past, step, Root(self._unknowns, z, inverse))
-        assert isinstance(law, SteppedLaw)
-        return law
+    def _program(self, expression: Expr) -> NumpyProgram:
+        others = (*self._past.values(), *self._step.values(), *self._of_root)
+        return NumpyProgram(expand_derivatives(expression), *self._symbols, *others)
 
-    def _numbers(self, first: int, count: int) -> Expr:
-        return ufl.as_vector([self._symbol[first + i] for i in range(count)])
+    def quantity(self, expression: Expr) -> Quantity:
+        """An expression of the symbols, of the history and of the step as a function of numbers."""
+        program = self._program(expression)
 
-    def program(self, expression: Expr) -> NumpyProgram:
-        """What an expression of the law over a step gives, of F and of `PointStep.inputs`."""
-        return NumpyProgram(expand_derivatives(expression), self.F, self._symbol)
+        def value(*at: FloatArray, dt: float) -> FloatArray:
+            return np.asarray(program(*at, *self._known(dt), *self._root(at, dt)[:2]))
+
+        return value
+
+    def _known(self, dt: float) -> list[FloatArray]:
+        """The past, and the constants of a step."""
+        past = self._memory.fold(self.values, dt)
+        step = self._memory.step(dt, passes=True)
+        return [
+            *(past[name] for name in self._past),
+            *(np.array([step[name]]) for name in self._step),
+        ]
+
+    # --- equations of a step ---
+
+    def found(self, *at: FloatArray, dt: float) -> BoolArray:
+        """Where equations of the step have a root; everywhere, if there are none."""
+        found = self._root(at, dt)[2:]
+        return found[0] if found else np.ones(len(at[0]), dtype=bool)
 
     @cached_property
     def _equations(self) -> NumpyProgram:
         assert isinstance(self.law, ImplicitStep)
-        return self.program(self.law.root.to_solve(self.law.equations(self.F)))
+        return self._program(self.law.root.to_solve(self.law.equations(self.F)))
 
-    @cached_property
-    def stress(self) -> NumpyProgram:
-        """P [Pa] of F and of `PointStep.inputs`, shape (n, 3, 3)."""
-        return self.program(self.law.stress(self.F))
-
-    @cached_property
-    def tangent(self) -> NumpyProgram:
-        """dP/dF [Pa], shape (n, 3, 3, 3, 3)."""
-        H, F = variables(self.F)
-        return self.program(ufl.diff(self.law.stress(F), H))
-
-    @cached_property
-    def at_end(self) -> NumpyProgram:
-        """Numbers of `Memory.found` at the end of the step, shape (n, m)."""
-        return self.program(in_a_row(self.memory.found, self.law.at_end(self.F)))
-
-    def start(self, count: int) -> Values:
-        """The variables in bodies at rest."""
-        return {v.name: np.tile(v.at_start, (count, 1)) for v in self.memory.variables}
-
-    def step(self, F: FloatArray, values: Mapping[str, FloatArray], dt: float) -> PointStep:
-        """Solves the equations of a step of a length [s].
-
-        Args:
-            F: At its end, shape (n, 3, 3).
-            values: At its start, from `start` or `follow`.
-        """
-        n, folded = len(F), self.memory.fold(values, dt)
-        numbers = np.array([*self.memory.step(dt, passes=True).values()])
-        seen = [folded[v.name] for v in self.memory.seen]
-        given = np.hstack([*seen, np.tile(numbers, (n, 1))])
-        if not self._z:
-            rest = np.zeros((n, self._symbol.ufl_shape[0] - self._first))
-            return PointStep(np.hstack([given, rest]), np.ones(n, dtype=bool))
-        z = np.hstack([values[v.name] for v in self._unknowns])
-        inverse, found = self._newton(F, given, z)
-        return PointStep(np.hstack([given, z, inverse.reshape(n, -1)]), found)
-
-    def _newton(
-        self, F: FloatArray, given: FloatArray, z: FloatArray
-    ) -> tuple[FloatArray, BoolArray]:
-        """The inverse of dr/dz, and where z, which is changed, is a root."""
-        n, size = z.shape
-        inverse, d = np.zeros((n, size, size)), np.zeros_like(z)
-        before, share, length = z.copy(), np.ones(n), np.full(n, np.inf)
-        found, going = np.zeros(n, dtype=bool), np.ones(n, dtype=bool)
+    def _root(self, at: tuple[FloatArray, ...], dt: float) -> tuple[FloatArray, ...]:
+        """z, the inverse of dr/dz, and where they were found; empty without equations."""
+        if not isinstance(self._memory, ImplicitMemory):
+            return ()
+        start = np.hstack([self.values[v.name] for v in self._memory.unknowns])
+        n, known = len(at[0]), self._known(dt)
+        size = start.shape[1]
+        z = np.array(np.broadcast_to(start, (n, size)))
+        none = np.zeros((1, size**2))
+        points = _Newton(z)
         for _ in range(MOST):
-            k = np.flatnonzero(going)
+            k = np.flatnonzero(points.going)
             if not len(k):
                 break
-            values = self._equations(
-                F[k], np.hstack([given[k], z[k], inverse[k].reshape(-1, size**2)])
-            )
-            r, J = values[:, :size], values[:, size:].reshape(-1, size, size)
-            scale = np.linalg.norm(z[k], axis=1) + 1e-3
-            trial = np.linalg.norm(np.einsum("nij,nj->ni", inverse[k], r), axis=1) / scale
-            worse = np.isfinite(length[k]) & ~(trial < length[k]) & (length[k] > ENOUGH)
-            back, on = k[worse], k[~worse]
-            share[back] /= 2
-            z[back] = before[back] + share[back, None] * d[back]
-            going[back] = share[back] > SMALLEST
-            good = np.isfinite(J[~worse]).all(axis=(1, 2))
-            good[good] = np.abs(np.linalg.det(J[~worse][good])) > 0
-            going[on[~good]] = False
-            on, r, J = on[good], r[~worse][good], J[~worse][good]
-            inverse[on] = np.linalg.inv(J)
-            d[on] = -np.einsum("nij,nj->ni", inverse[on], r)
-            before[on], share[on] = z[on], 1.0
-            length[on] = np.linalg.norm(d[on], axis=1) / (np.linalg.norm(z[on], axis=1) + 1e-3)
-            z[on] += d[on]
-            found[on] = length[on] <= ENOUGH
-            going[on] = ~found[on]
-        return inverse, found
+            given = [x if len(x) == 1 else x[k] for x in (*at, *known)]
+            points.advance(k, self._equations(*given, points.z[k], none))
+        return points.z, points.inverse.reshape(n, -1), points.found
 
-    def follow(
-        self, F: FloatArray, values: Mapping[str, FloatArray], dt: float, step: PointStep
-    ) -> Values:
-        """The variables at the end of a step, see `step`."""
-        now = self.at_end(F, step.inputs)
-        at, found = 0, {}
-        for v in self.memory.found:
-            found[v.name] = now[:, at : at + v.size]
-            at += v.size
-        return dict(self.memory.follow(values, found, dt))
+    # --- steps ---
+
+    @cached_property
+    def _at_end(self) -> Quantity:
+        return self.quantity(in_a_row(self._memory.found, self.law.at_end(self.F)))
+
+    def at_end(self, *at: FloatArray, dt: float) -> dict[str, FloatArray]:
+        """The variables at the end of a step to values of the symbols; shape (n, size)."""
+        rows, found, offset = self._at_end(*at, dt=dt), {}, 0
+        for v in self._memory.found:
+            found[v.name] = rows[:, offset : offset + v.size]
+            offset += v.size
+        return dict(self._memory.follow(self.values, found, dt))
+
+    def commit(self, *at: FloatArray, dt: float) -> None:
+        """Makes the states at values of the symbols the past."""
+        self.values = self.at_end(*at, dt=dt)
+
+
+class _Newton:
+    """Newton's method at many points, damped as in roots.c.
+
+    Args:
+        z: Where it starts, shape (n, size); changed.
+    """
+
+    def __init__(self, z: FloatArray) -> None:
+        n, size = z.shape
+        self.z, self._before, self._step = z, z.copy(), np.zeros_like(z)
+        self.inverse = np.zeros((n, size, size))
+        self._share, self._length = np.ones(n), np.full(n, np.inf)
+        self.found, self.going = np.zeros(n, dtype=bool), np.ones(n, dtype=bool)
+
+    def advance(self, k: IndexArray, values: FloatArray) -> None:
+        """Takes r and dr/dz at z of points k, a row each."""
+        size = self.z.shape[1]
+        r, J = values[:, :size], values[:, size:].reshape(-1, size, size)
+        trial = _measured(np.einsum("nij,nj->ni", self.inverse[k], r), self._before[k])
+        length = self._length[k]
+        worse = np.isfinite(length) & ~(trial < length) & (length > ENOUGH)
+        back = k[worse]
+        self._share[back] /= 2
+        self.z[back] = self._before[back] + self._share[back, None] * self._step[back]
+        self.going[back] = self._share[back] > SMALLEST
+        on, r, J = k[~worse], r[~worse], J[~worse]
+        good = np.isfinite(J).all(axis=(1, 2))
+        good[good] = np.abs(np.linalg.det(J[good])) > 0
+        self.going[on[~good]] = False
+        on, r = on[good], r[good]
+        self.inverse[on] = np.linalg.inv(J[good])
+        self._step[on] = -np.einsum("nij,nj->ni", self.inverse[on], r)
+        self._before[on], self._share[on] = self.z[on], 1.0
+        self._length[on] = _measured(self._step[on], self.z[on])
+        self.z[on] += self._step[on]
+        self.found[on] = self._length[on] <= ENOUGH
+        self.going[on] = np.isfinite(self._length[on]) & ~self.found[on]
+
+
+def _measured(step: FloatArray, z: FloatArray) -> FloatArray:
+    return np.asarray(np.linalg.norm(step, axis=1) / (np.linalg.norm(z, axis=1) + LEAST))
