@@ -31,6 +31,7 @@ LONG = {
     "incline",
     "inverted",
     "o_ring",
+    "paperclip",
     "print_up",
     "snap_fit",
     "tipping",
@@ -75,6 +76,7 @@ CHECKED = {  # what a script says last about its number
     "incline": r"of the block off by \d\.\de-0[5-9], of the ball by \d\.\de-0[3-9]",
     "snap_fit": r"out: .*: P off by \d\.\de-0[2-9], W/P by \d\.\de-(0[6-9]|1\d)",
     "o_ring": r"squeezed 3\.6\d MPa; at the end off the rule by \d\.\de-0[2-9]",
+    "paperclip": r"springback off the beam by (1\.\de-02|\d\.\de-0[3-9])",
     "bunnies": r"largest gain of energy in a step: -?\d\.\de-(0[4-9]|1\d)",
     "jelly": r"difference of the periods: \d\.\de-0[3-9]",
 }
