@@ -229,6 +229,28 @@ def test_perzyna_to_first_order(rate: float) -> None:
     assert abs(2 * off[1] - off[0]) < 1e-5
 
 
+def test_perzyna_to_second_order() -> None:
+    """The same with the trapezoidal rule: 1e-6 in 240 steps, of which each doubling makes 1/4."""
+    eta, rate, end, hard = 2e10, 0.1, 0.1, 2e9
+    since, k = (0.01 - YIELD / E) / rate, (E + hard) / eta
+    exact = E * (0.01 - E * rate / (E + hard) * (since + np.expm1(-k * since) / k))
+    law = J2(
+        E=E,
+        nu=NU,
+        yield_stress=YIELD,
+        hardening=hard,
+        plastic_viscosity=eta,
+        rate_integration="trapezoidal",
+    )
+    problem = pulled(law, [[0, 0], [end, 0.01]])
+    off = []
+    for steps in (120, 240):
+        *_, state = Statics(problem, end=end, steps=steps, rtol=1e-12).steps()
+        off.append(axial(state) / exact - 1)
+    assert abs(off[1]) < 1e-6
+    assert off[0] / off[1] == pytest.approx(4, rel=0.02)
+
+
 def test_unloading_leaves_residual_stress_and_set() -> None:
     """Pulled to 1 %, let go: the strain that is left is the plastic one, without stress."""
     law = J2(E=E, nu=NU, yield_stress=YIELD, hardening=2e9)
@@ -258,11 +280,19 @@ def test_energy_balances(kind: type[Law]) -> None:
     assert min(np.diff(heat)) >= -1e-12 * heat[-1]
 
 
-def test_a_run_goes_on(comm: MPI.Comm) -> None:
+@pytest.mark.parametrize(
+    ("kind", "keys"),
+    [
+        (J2, {"kinematic": 5e9}),
+        (J2, {"plastic_viscosity": 1e9, "rate_integration": "trapezoidal"}),
+        (J2Logarithmic, {"plastic_viscosity": 1e9, "rate_integration": "trapezoidal"}),
+    ],
+)
+def test_a_run_goes_on(kind: type[Law], keys: dict[str, Any], comm: MPI.Comm) -> None:
     """Restarted amid loading, the rest of a run is the same to 1e-12."""
 
     def solver() -> Statics:
-        law = J2(E=E, nu=NU, yield_stress=YIELD, hardening=2e9, kinematic=5e9)
+        law = kind(E=E, nu=NU, yield_stress=YIELD, hardening=2e9, **keys)
         return Statics(pulled(law, ROUND), end=3, steps=12, rtol=1e-13)
 
     whole = [axial(state) for state in solver().steps()]

@@ -65,6 +65,12 @@ class Variable:
         pairs = SIX if self.shape == "symmetric" else tuple(np.ndindex(3, 3))
         return [value[i, j] for i, j in pairs]
 
+    def square(self, numbers: FloatArray) -> FloatArray:
+        """tr(A A) of tensors A from their numbers, shape (n, size): shape (n,)."""
+        rows = PLACES if self.shape == "symmetric" else tuple(np.arange(9).reshape(3, 3).tolist())
+        A = numbers[:, np.array(rows)]
+        return np.einsum("nij,nji->n", A, A)
+
 
 def in_a_row(variables: Iterable[Variable], values: Mapping[str, Expr]) -> Expr:
     """All numbers of variables, from the quantities by name, as one UFL vector."""

@@ -8,8 +8,10 @@ root of
 
 the only unknown where the flow is in the direction of the trial stress.  Of straight pieces of
 sigma_y the root is explicit; of Voce's law it is that of y = c + k exp(-y), which Newton's method
-approaches from one side.  What hardening takes up counts as dissipated, but for the energy of the
-back stress: the plastic work less that is the integral of sigma_y over a.
+approaches from one side.  The trapezoidal rule, of second order in dt where eta is given, is half a
+step at the plastic rate of the start, which is remembered, and half a step of backward Euler.  What
+hardening takes up counts as dissipated, but for the energy of the back stress: the plastic work
+less that is the integral of sigma_y over a.
 
 Source: Simo & Hughes, Computational Inelasticity (1998), sections 2.4 and 3.3; E. Voce, Metallurgia
 51 (1955) 219; P. Perzyna, Adv. Appl. Mech. 9 (1966) 243.
@@ -21,18 +23,19 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import TYPE_CHECKING, Annotated, Self, TypeAlias
+from typing import TYPE_CHECKING, Annotated, Literal, Self, TypeAlias
 
+import numpy as np
 import ufl
 from pydantic import AliasChoices, BeforeValidator, Field, model_validator
 from ufl.core.expr import Expr
 
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.schema import Record
-from dolfin_elastic.core.types import Scalar
+from dolfin_elastic.core.types import FloatArray, Scalar
 from dolfin_elastic.core.units import Number, Quantity, SpatialValue, Stress, Viscosity
 from dolfin_elastic.model.materials.law import SplitLaw
-from dolfin_elastic.model.materials.memory import Memory, OverStep, Variable
+from dolfin_elastic.model.materials.memory import Memory, OverStep, Values, Variable
 from dolfin_elastic.model.materials.moduli import Isotropic
 from dolfin_elastic.model.materials.spatial import Range
 
@@ -125,6 +128,9 @@ class Plastic(Isotropic, SplitLaw):
             uniaxial tension [Pa].
         plastic_viscosity: eta of the overstress eta da/dt [Pa s] (Perzyna): the faster, the more
             stress. Statics then needs steps in time.
+        rate_integration: With `plastic_viscosity`, how a step follows the plastic rate:
+            "backward-euler", of first order, or "trapezoidal", of second order where steps are
+            shorter than eta/E; longer ones oscillate.
     """
 
     yield_stress: Stress | None = Field(
@@ -133,6 +139,17 @@ class Plastic(Isotropic, SplitLaw):
     hardening: Hardening = 0.0
     kinematic: Stress = Field(default=0.0, ge=0)
     plastic_viscosity: Viscosity | None = Field(default=None, gt=0)
+    rate_integration: Literal["backward-euler", "trapezoidal"] | None = None
+
+    @model_validator(mode="after")
+    def _has_a_rate(self) -> Self:
+        if self.rate_integration is not None and self.plastic_viscosity is None:
+            raise InputError(
+                "without a viscosity the plastic strain has no rate to integrate",
+                where="rate_integration",
+                expected="leave it out, or give plastic_viscosity, too",
+            )
+        return self
 
     @model_validator(mode="after")
     def _yields(self) -> Self:
@@ -193,6 +210,11 @@ class Plastic(Isotropic, SplitLaw):
     def timed(self) -> bool:
         """It depends on how long a step takes."""
         return self.plastic_viscosity is not None
+
+    @property
+    def trapezoidal(self) -> bool:
+        """A step begins at the plastic rate of its start."""
+        return self.rate_integration == "trapezoidal"
 
     @property
     def first_yield(self) -> float | None:
@@ -342,6 +364,10 @@ class Return:
 PLASTIC_STRAIN = Variable("plastic_strain")
 VISCOUS = Variable("viscous_work")
 """Work against the plastic viscosity [J/m^3]."""
+RATE = "plastic_rate"
+"""Of the plastic strain tensor [1/s], its name among the variables."""
+POWER = Variable("viscous_power")
+"""Rate of `VISCOUS` [W/m^3]."""
 
 
 def returned(
@@ -369,11 +395,13 @@ def returned(
 def scalars_at_end(
     law: Plastic, growth: Expr, past: Mapping[str, Expr], step: Mapping[str, Expr]
 ) -> dict[str, Expr]:
-    """Equivalent plastic strain, and the work against a viscosity, at the end of a step."""
+    """Equivalent plastic strain, and work and power against a viscosity, at the end of a step."""
     result = {PLASTIC_STRAIN.name: past[PLASTIC_STRAIN.name] + growth}
     if law.plastic_viscosity is not None:
         work = law.plastic_viscosity * step["per_dt"] * growth**2
         result[VISCOUS.name] = past[VISCOUS.name] + work
+        if law.trapezoidal:
+            result[POWER.name] = work * step["per_dt"]
     return result
 
 
@@ -384,7 +412,7 @@ def dissipated(law: Plastic, scalars: Mapping[str, Expr]) -> Expr:
 
 
 class PlasticMemory(Memory):
-    """The plastic strain, as a tensor and as the equivalent one.
+    """The plastic strain, as a tensor and as the equivalent one; of the trapezoidal rule its rate.
 
     Args:
         tensor: What the law keeps of the tensor.
@@ -400,14 +428,40 @@ class PlasticMemory(Memory):
         *,
         plane_stress: bool = True,
     ) -> None:
-        self._stepped = stepped
+        self._stepped, self._law, self._tensor = stepped, law, tensor
         self.timed, self.plane_stress = law.timed, plane_stress
-        self.variables = (tensor, PLASTIC_STRAIN, *((VISCOUS,) if law.timed else ()))
+        self._seen = (tensor, PLASTIC_STRAIN, *((VISCOUS,) if law.timed else ()))
+        rates = (Variable(RATE, tensor.shape), POWER) if law.trapezoidal else ()
+        self.variables = (*self._seen, *rates)
+
+    @property
+    def seen(self) -> tuple[Variable, ...]:
+        """See `Memory`."""
+        return self._seen
 
     def over_step(self, past: Mapping[str, Expr], step: Mapping[str, Expr]) -> OverStep:
         """See `Memory`."""
         return self._stepped(past, step)
 
     def step(self, dt: float, *, passes: bool) -> dict[str, float]:
-        """See `Memory`."""
-        return {"per_dt": 1 / dt if dt > 0 else AT_ONCE} if self.timed else {}
+        """See `Memory`; of the trapezoidal rule the half that is one of backward Euler."""
+        if not self.timed:
+            return {}
+        implicit = dt / 2 if self._law.trapezoidal else dt
+        return {"per_dt": 1 / implicit if dt > 0 else AT_ONCE}
+
+    def fold(self, values: Values, dt: float) -> Values:
+        """See `Memory`: of the trapezoidal rule after half a step at the rate of its start."""
+        if not self._law.trapezoidal or dt == 0.0:
+            return {v.name: values[v.name] for v in self._seen}
+        grown = dt / 2 * values[RATE]
+        length = np.sqrt(2 / 3 * self._tensor.square(grown))[:, None]
+        return {
+            self._tensor.name: self.advanced(values[self._tensor.name], grown),
+            PLASTIC_STRAIN.name: values[PLASTIC_STRAIN.name] + length,
+            VISCOUS.name: values[VISCOUS.name] + dt / 2 * values[POWER.name],
+        }
+
+    def advanced(self, tensor: FloatArray, grown: FloatArray) -> FloatArray:
+        """What the law keeps of the tensor, after a growth of the plastic strain; (n, size) each."""
+        return tensor + grown

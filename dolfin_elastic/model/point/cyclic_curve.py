@@ -38,8 +38,6 @@ _GOOD = 1e-6
 """Relative difference of stresses that are equal to a reader."""
 _PARTS, _DIVISIONS = 64, 8
 """Of the interval in which a yield point lies: 64^-8 of it is round-off."""
-SLOWLY = math.inf
-"""Length of a step [s]: no viscosity adds to the stress."""
 
 
 @dataclass(frozen=True)
@@ -130,11 +128,12 @@ class _Bar:
     """
 
     def __init__(self, law: Plastic) -> None:
+        slow = law.model_copy(update={"plastic_viscosity": None, "rate_integration": None})
         domain = gradient_symbol().ufl_domain()
         symbols = ufl.Constant(domain), ufl.Constant(domain)
         e, w = (ufl.variable(symbol) for symbol in symbols)
         F = deformation_from(ufl.as_matrix([[e, 0, 0], [0, w, 0], [0, 0, w]]))
-        self._point = PointOverSteps(law, F, symbols)
+        self._point = PointOverSteps(slow, F, symbols)
         P = self._point.law.stress(F)
         along, across = P[0, 0], P[1, 1]
         slopes = [ufl.diff(p, x) for p in (along, across) for x in (e, w)]
@@ -150,7 +149,7 @@ class _Bar:
         """Ends of the step at which the sides are free, by Newton's method."""
         w = self.at.w + self.at.thinner * (e - self.at.e)
         for _ in range(_ITERATIONS):
-            along, across, ee, ew, we, ww = self._numbers(e, w, dt=SLOWLY).T
+            along, across, ee, ew, we, ww = self._numbers(e, w, dt=0.0).T
             change = -across / ww
             w, along = w + change, along + ew * change
             if np.abs(change).max() <= _NEAR:
@@ -159,12 +158,12 @@ class _Bar:
 
     def grows(self, states: _States) -> BoolArray:
         """Where the plastic strain grows in the step."""
-        ends = self._point.at_end(states.e, states.w, dt=SLOWLY)
+        ends = self._point.at_end(states.e, states.w, dt=0.0)
         return np.asarray(ends[PLASTIC_STRAIN.name][:, 0] > self.plastic + _ROUND_OFF)
 
     def commit(self, states: _States) -> None:
         """Ends the step in one state."""
-        self._point.commit(states.e, states.w, dt=SLOWLY)
+        self._point.commit(states.e, states.w, dt=0.0)
         self.at = states
 
     def yield_point(self, end: float) -> _States | None:

@@ -15,6 +15,7 @@ from dolfin_elastic.model.materials.law import once
 from dolfin_elastic.model.materials.memory import Memory, Variable
 from dolfin_elastic.model.materials.plasticity import (
     PLASTIC_STRAIN,
+    RATE,
     Plastic,
     PlasticMemory,
     dissipated,
@@ -100,7 +101,10 @@ class SteppedJ2(SteppedSplitLaw):
     def at_end(self, F: Expr) -> dict[str, Expr]:
         """See `OverStep`."""
         growth, tensor = self._return(F)
-        return {TENSOR.name: tensor, **scalars_at_end(self.law, growth, self.past, self.step)}
+        result = {TENSOR.name: tensor, **scalars_at_end(self.law, growth, self.past, self.step)}
+        if self.law.trapezoidal:
+            result[RATE] = (tensor - self.past[TENSOR.name]) * self.step["per_dt"]
+        return result
 
     def plastic_strain(self, F: Expr) -> Expr:
         """See `OverStep`."""

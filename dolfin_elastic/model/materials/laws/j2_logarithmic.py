@@ -7,17 +7,20 @@ from dataclasses import dataclass
 from functools import partial
 from typing import ClassVar, Literal, Self
 
+import numpy as np
 import ufl
 from pydantic import model_validator
 from ufl.core.expr import Expr
 
 from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.model.kinematics import deformation_from, displacement_gradient
 from dolfin_elastic.model.materials.law import once
 from dolfin_elastic.model.materials.laws.hencky import Logarithmic
 from dolfin_elastic.model.materials.memory import Memory, Variable
 from dolfin_elastic.model.materials.plasticity import (
     PLASTIC_STRAIN,
+    RATE,
     Plastic,
     PlasticMemory,
     Return,
@@ -70,7 +73,23 @@ class J2Logarithmic(Plastic, Logarithmic):
         """See `Law`."""
         # In plane stress a compiler would take longer than five minutes for its tangent.
         stepped = partial(SteppedLogarithmic, self)
-        return PlasticMemory(self, INVERSE, stepped, plane_stress=False)
+        return LogarithmicMemory(self, INVERSE, stepped, plane_stress=False)
+
+
+class LogarithmicMemory(PlasticMemory):
+    """The same with Fp^-1 - I, whose plastic strain grows in the intermediate configuration."""
+
+    def advanced(self, tensor: FloatArray, grown: FloatArray) -> FloatArray:
+        """See `PlasticMemory`: Fp^-1 exp(-growth) - I."""
+        one = np.eye(3)
+        inverse = tensor.reshape(-1, 3, 3) + one
+        B = grown.reshape(-1, 3, 3) / -(2**HALVINGS)
+        power = np.broadcast_to(one, B.shape)
+        for n in range(ORDER, 0, -1):
+            power = one + B @ power / n
+        for _ in range(HALVINGS):
+            power = power @ power
+        return np.asarray(inverse @ power - one).reshape(-1, 9)
 
 
 @dataclass(frozen=True)
@@ -114,13 +133,16 @@ class SteppedLogarithmic(SteppedSplitLaw):
     def at_end(self, F: Expr) -> dict[str, Expr]:
         """See `OverStep`: Fp^-1 exp(-3/2 growth/q Fe^-1 tau Fe) of determinant 1."""
         Fe, P, _, found = self._trial(F)
-        flow = ufl.inv(Fe) * P * (Fe.T * Fe)
+        grown = 1.5 * found.share * (ufl.inv(Fe) * P * (Fe.T * Fe))
         before = ufl.Identity(3) + self.past[INVERSE.name]
-        inverse = before * _exponential(-1.5 * found.share * flow)
-        return {
+        inverse = before * _exponential(-grown)
+        result = {
             INVERSE.name: inverse / ufl.det(inverse) ** (1 / 3) - ufl.Identity(3),
             **scalars_at_end(self.law, found.growth, self.past, self.step),
         }
+        if self.law.trapezoidal:
+            result[RATE] = grown * self.step["per_dt"]
+        return result
 
     def plastic_strain(self, F: Expr) -> Expr:
         """See `OverStep`."""
