@@ -113,9 +113,10 @@ class AnalysisTables(ModelTables):
 
     @property
     def timed(self) -> bool:
-        """Time passes [s]: in motion, and in statics where materials relax."""
+        """Time passes [s]: in motion, and in statics where materials or times with units say so."""
         memories = [material.law.memory for material in self.materials.values()]
         timed = any(memory is not None and memory.timed for memory in memories)
+        timed = timed or (self.statics is not None and bool(self.statics.in_time))
         return self.dynamics is not None or (timed and not self.gives_modes)
 
     @property

@@ -131,7 +131,8 @@ class State:
 
     Attributes:
         step: 0 for the initial state, then 1, 2, ...
-        t: Time [s] in motion and where materials relax, see `timed`; else the load parameter.
+        t: Time [s] in motion, and in statics whose end is a time or whose materials depend on
+            it, see `timed`; else the load parameter.
         u: Displacement [m] on the reference configuration.
         w: All unknowns, where there are others beside u.
         v: Velocity [m/s], in motion only.
@@ -166,6 +167,7 @@ class State:
         unit: Of the mesh: lengths are shown in it.
         between: It is between two states that were asked for, so no output takes it: only for a
             checkpoint and the display of a long run.
+        seconds: In statics: `t` is a time, see `timed`.
         derived: What outputs have computed of the state, by name, so that others need not compute
             it again: the recovered stress, the estimated error.  Copies of the state share it.
     """
@@ -195,6 +197,7 @@ class State:
     done: float = 0.0
     unit: LengthUnit = METRE
     between: bool = False
+    seconds: bool = False
     derived: dict[str, object] = field(default_factory=dict, compare=False, repr=False)
 
     def __repr__(self) -> str:
@@ -204,8 +207,8 @@ class State:
 
     @property
     def timed(self) -> bool:
-        """`t` is a time [s]: in motion, and in statics where materials relax."""
-        return self.v is not None or "relaxing" in self.energies
+        """`t` is a time [s]: in motion, and in statics where materials or the case say so."""
+        return self.v is not None or self.seconds
 
     @property
     def negative(self) -> int | None:

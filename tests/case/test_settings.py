@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from itertools import pairwise
 from typing import Any
 
 import pytest
@@ -25,6 +26,7 @@ from dolfin_elastic.case.tables import Output
 from dolfin_elastic.core.errors import ConvergenceError, InputError
 from dolfin_elastic.core.schema import known_keys
 from dolfin_elastic.results.checkpoint.checkpoints import CheckpointSettings
+from dolfin_elastic.results.finished.run import FinishedRun
 from dolfin_elastic.solvers.dynamics.settings import DynamicsSettings
 from dolfin_elastic.solvers.eigen.settings import BucklingSettings, ModalSettings
 from dolfin_elastic.solvers.linear.choice import LinearSettings
@@ -199,7 +201,7 @@ OTHERS: list[tuple[dict[str, Any], str]] = [
         r"mesh.rectangle.size\[1\]: ",
     ),
     ({"surfaces": {"a": {"plane": "y", "at": []}}}, "surfaces.a.at: "),
-    ({"statics": {"times": [True]}}, r"statics.times\[0\]: true is wrong; expected a number"),
+    ({"statics": {"times": [True]}}, r"statics.times\[0\]: True is not a number; expected a nu"),
     (
         {"mesh": {"rectangle": {"size": [1, 1], "cells": [1, True]}, "degree": 1}},
         r"mesh.rectangle.cells\[1\]: true is wrong; expected a whole number",
@@ -267,6 +269,18 @@ PATHS: list[tuple[dict[str, Any], str]] = [
     (ARC | {"snap": True}, "snap: a path that is followed by its length"),
     (ARC | {"times": [0.5]}, "times: a path that is followed by its length meets no load"),
     ({"times": [0.5, 1.5]}, r"times\[1\]: 1.5 lies beyond the end; at most statics.end = 1$"),
+    ({"end": "1 h", "times": ["2 h"]}, r"times\[0\]: 7200 s lies beyond the end; .* = 3600 s$"),
+    ({"end": "0 s"}, 'end: "0 s" is wrong; expected a time above 0'),
+    ({"end": "1e300 h"}, r"end: 3.6e\+303 s is wrong; at most 1e\+09 s"),
+    ({"end": "3 kg"}, "end: '3 kg' has the wrong unit"),
+    (
+        {"end": 100, "max_step": "2 min"},
+        "max_step: 120 s is wrong; from 0.0001 s to statics.end = ",
+    ),
+    (
+        {"end": "1 h", "first_step": "10 min", "max_step": "5 min"},
+        "first_step: 600 s is more than any step may be; at most statics.max_step = 300 s",
+    ),
 ]
 
 
@@ -276,6 +290,45 @@ def test_keys_of_statics_beside_each_other(keys, message):
         StaticsSettings(**keys)
     with pytest.raises(InputError, match=r"^statics[.:]"):
         case(statics=keys)
+
+
+TIMES = {"end": "1 h", "max_step": "15 min", "times": ["10 min", 2400, "0.9 h"]}
+
+
+def test_times_of_statics_have_units(folder):
+    """Where curves say what acts when: they are met, shown as times, and written back."""
+    curve = [[0, 0], ["30 min", 1], ["1 h", 0]]
+    load = {"kind": "traction", "on": "right", "value": [1e3, 0], "curve": curve}
+    read = case(statics=TIMES, load=[load])
+    again = Case(**read.to_dict())
+    assert again.statics == read.statics
+    assert again.timed
+    found = list(run(again, output=folder / "out"))
+    assert {600.0, 1800.0, 2400.0, 3240.0, 3600.0} <= {state.t for state in found}
+    assert max(b.t - a.t for a, b in pairwise(found)) <= 900 * (1 + 1e-12)
+    assert all(state.timed for state in found)
+    assert FinishedRun(folder / "out").timed
+
+
+@pytest.mark.parametrize(
+    ("keys", "key"),
+    [
+        ({"end": "1 h"}, "end"),
+        ({"times": [0.5, "1 s"]}, r"times\[1\]"),
+        ({"max_step": "1 s"}, "max_"),
+    ],
+    ids=str,
+)
+def test_a_time_of_statics_is_refused_where_none_passes(keys, key):
+    """The load would be 3600 times as large."""
+    for attempt in (
+        lambda: report(case(statics=keys)),
+        lambda: list(Statics(square(), **keys).steps()),
+    ):
+        with pytest.raises(
+            InputError, match=f"^statics.{key}.*: nothing depends on time: no curve"
+        ):
+            attempt()
 
 
 WAYS: list[tuple[dict[str, Any], str]] = [

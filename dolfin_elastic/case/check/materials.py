@@ -86,7 +86,7 @@ def _longest_step(case: Case) -> float | None:
         return None if case.dynamics.adaptive else case.dynamics.dt
     if (statics := case.statics) is None:
         return None
-    return statics.max_step if statics.steps is None else statics.end / statics.steps
+    return statics.end * (statics.largest if statics.steps is None else 1 / statics.steps)
 
 
 def error_of_steps(law: Law, dt: float) -> float:

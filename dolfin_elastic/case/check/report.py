@@ -75,6 +75,7 @@ from dolfin_elastic.solvers.diagnostics.rigid_body import (
 )
 from dolfin_elastic.solvers.eigen.settings import UNMOVED
 from dolfin_elastic.solvers.linear.choice import Choice, choose
+from dolfin_elastic.solvers.statics.settings import refuse_times
 
 PLANE = ("plane-strain", "plane-stress")
 
@@ -242,6 +243,8 @@ def _solver_notes(case: Case, problem: Problem) -> tuple[str, ...]:
     check_folder(case, problem.body.comm)
     if case.analysis in ("statics", "buckling") or case.preloaded:
         refuse_rest(problem.terms)
+        if case.statics is not None and case.statics.in_time:
+            refuse_times(case.statics, problem)
         check_no_rigid_motion(problem, stay=True)
     if (start := case.start_of(problem)) is not None:
         start()

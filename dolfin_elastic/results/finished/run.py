@@ -207,8 +207,9 @@ class FinishedRun(Shown):
 
     @property
     def timed(self) -> bool:
-        """t is a time [s]: in motion, and in statics where materials relax."""
-        return self.moving or "relaxing_energy" in self.history
+        """t is a time [s]: in motion, and in statics where materials or the case say so."""
+        old = "relaxing_energy" in self.history  # before `summary.json` had the key
+        return self.moving or old or bool(self.summary.get("timed"))
 
     @property
     def steps(self) -> list[float]:

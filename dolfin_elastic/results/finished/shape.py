@@ -25,6 +25,7 @@ _GLYPHS = {
 SUMMARY: dict[str, object] = {
     **dict.fromkeys(("status", "reason", "started", "finished"), str),
     **dict.fromkeys(("dofs", "cells", "ranks", "degree", "steps", "t", "load_factor"), float),
+    "timed": bool,
     **dict.fromkeys(("newton_iterations", "krylov_iterations", "max_displacement"), float),
     "numbers": {"*": float},
     "timings": {"*": float},

@@ -243,7 +243,7 @@ class SummaryWriter:
 
     def _unloaded_text(self) -> str:
         most = self._largest
-        when = time_or_load(most["load_factor"], timed=self.problem.history is not None)
+        when = time_or_load(most["load_factor"], timed=bool(self._last["timed"]))
         return (
             "the last state is unloaded, and so are its stress and pictures; the largest "
             f"displacement of the run is {most['max_displacement']:.5g} m in step "
@@ -323,6 +323,7 @@ _NUMBERS: dict[str, object] = {
     "steps": 0,
     "t": None,
     "load_factor": None,
+    "timed": False,
     "newton_iterations": 0,
     "krylov_iterations": 0,
     "max_displacement": None,
@@ -345,6 +346,7 @@ def _numbers(state: State) -> dict[str, object]:
         "steps": state.step,
         "t": plain(state.t),
         "load_factor": plain(state.load_factor),
+        "timed": state.timed,
         "max_displacement": state.max_displacement,
         "strain_energy": state.energies.get("strain"),
         "energies": dict(state.energies),

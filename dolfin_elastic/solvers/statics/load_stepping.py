@@ -96,7 +96,11 @@ class LoadStepping:
         self._retry = RetryStrategy(newton)
         self._path_check = PathEnergyCheck(self._assembler)
         self._states = StaticStates(
-            newton, book=self._path_check.book, watch=watch, end=settings.end
+            newton,
+            book=self._path_check.book,
+            watch=watch,
+            end=settings.end,
+            seconds=bool(settings.in_time),
         )
         self._speed = StepSpeed(self._assembler, self._problem.corners)
         self._t, self._whole = 0.0, whole

@@ -3,13 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Annotated, Literal, Self
+from functools import cached_property
+from typing import TYPE_CHECKING, Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
 from dolfin_elastic.core.errors import InputError
-from dolfin_elastic.core.schema import Record, UnusedKeys, refuse_times_beyond, refuse_unused_keys
+from dolfin_elastic.core.schema import (
+    Record,
+    UnusedKeys,
+    quoted,
+    refuse_times_beyond,
+    refuse_unused_keys,
+)
 from dolfin_elastic.core.units import Force, Length
+from dolfin_elastic.solvers.statics.load_parameter import LoadParameter, Seconds
+
+if TYPE_CHECKING:
+    from dolfin_elastic.problem.problem import Problem
 
 FIRST = 0.25
 """Share of the load in the first step of a nonlinear problem."""
@@ -32,12 +43,13 @@ class StaticsSettings(Record):
             through limit points, where the load falls.
         steps: Equal load steps; by default the size of steps is chosen as they go, where the whole
             load in one step is not beyond doubt.
-        first_step: Share of the load in the first step; by default a quarter, and all of it in a
-            linear problem.
-        max_step: Share of the load that no step exceeds.
+        first_step: Fraction of the load in the first step, or a time with a unit; by default a
+            quarter, and all of it in a linear problem.
+        max_step: Fraction of the load that no step exceeds, or a time with a unit.
         min_step: Smallest step that is tried, as a fraction of the first one.
-        end: Load parameter at which the run ends; 1 is the full load.
-        times: Load parameters that are met exactly.
+        end: Load parameter at which the run ends; 1 is the full load.  Or a time with a unit, where
+            the load parameter is the time.
+        times: Load parameters that are met exactly, or times with a unit.
         rtol: Free residual over the larger of applied forces and reactions.
         atol: Free residual [N].
         max_iterations: Newton iterations after which a step is given up and tried smaller.
@@ -48,11 +60,11 @@ class StaticsSettings(Record):
 
     method: Literal["load", "arc-length"] = "load"
     steps: int | None = Field(default=None, ge=1, le=MOST_STEPS)
-    first_step: float | None = Field(default=None, ge=1 / MOST_STEPS, le=1)
-    max_step: float = Field(default=1.0, ge=1 / MOST_STEPS)
+    first_step: LoadParameter | None = Field(default=None, ge=1 / MOST_STEPS)
+    max_step: LoadParameter = Field(default=1.0, ge=1 / MOST_STEPS)
     min_step: float = Field(default=1e-3, gt=0, le=1)
-    end: float = Field(default=1.0, gt=0, le=LARGEST)
-    times: list[Annotated[float, Field(gt=0)]] = Field(default=[])
+    end: LoadParameter = Field(default=1.0, gt=0, le=LARGEST)
+    times: list[Annotated[LoadParameter, Field(gt=0)]] = Field(default=[])
     rtol: float = Field(default=1e-8, gt=0, lt=1)
     atol: Force = Field(default=0.0, ge=0)
     max_iterations: int = Field(default=30, ge=1)
@@ -68,14 +80,59 @@ class StaticsSettings(Record):
                 expected="steps are equal; leave one of them out",
             )
         refuse_unused_keys(self, _unused_keys(self))
-        if (self.first_step or 0.0) > self.max_step:
+        if self.end > LARGEST:
             raise InputError(
-                f"{self.first_step:g} is more than any step may be",
-                where="first_step",
-                expected=f"at most statics.max_step = {self.max_step:g}",
+                f"{_text(self.end)} is wrong", where="end", expected=f"at most {LARGEST:g} s"
             )
-        refuse_times_beyond(self.times, self.end, "statics.end")
+        for key in ("first_step", "max_step"):
+            self._check_length(key, getattr(self, key))
+        if (self.first or 0.0) > 1:
+            raise InputError(
+                f"{quoted(self.first_step)} is wrong",
+                where="first_step",
+                expected="expected a number of at most 1, or a time with a unit",
+            )
+        _ = self.in_time  # fails or is known now, not when it is used
+        if (self.first or 0.0) > self.largest:
+            raise InputError(
+                f"{_text(self.first_step)} is more than any step may be",
+                where="first_step",
+                expected=f"at most statics.max_step = {_text(self.max_step)}",
+            )
+        unit = "s" if isinstance(self.end, Seconds) else ""
+        refuse_times_beyond(self.times, self.end, "statics.end", unit)
         return self
+
+    def _check_length(self, key: str, step: float | None) -> None:
+        """Refuses a step in seconds that is longer than the run, or never comes to its end."""
+        if isinstance(step, Seconds) and not self.end / MOST_STEPS <= step <= self.end:
+            raise InputError(
+                f"{_text(step)} is wrong",
+                where=key,
+                expected=f"from {self.end / MOST_STEPS:g} s to statics.end = {self.end:g} s",
+            )
+
+    def _fraction(self, step: float) -> float:
+        """Of `end`, from a step as it is written."""
+        return step / self.end if isinstance(step, Seconds) else step
+
+    @cached_property
+    def first(self) -> float | None:
+        """The first step as a fraction of `end`; None: nobody has chosen it."""
+        return None if self.first_step is None else self._fraction(self.first_step)
+
+    @cached_property
+    def largest(self) -> float:
+        """The largest step as a fraction of `end`."""
+        return self._fraction(self.max_step)
+
+    @cached_property
+    def in_time(self) -> str:
+        """The first key that is a time with a unit; empty: there is none."""
+        keys = ("end", "max_step", "first_step")
+        found = [key for key in keys if isinstance(getattr(self, key), Seconds)]
+        found += [f"times[{i}]" for i, t in enumerate(self.times) if isinstance(t, Seconds)]
+        return found[0] if found else ""
 
     def as_way(self, *, ends: bool) -> Self:
         """The settings for the way to the preload of another analysis.
@@ -85,6 +142,25 @@ class StaticsSettings(Record):
         """
         left = {"max_displacement"} if ends else {"max_displacement", "end", "times"}
         return type(self)(**{key: getattr(self, key) for key in self.model_fields_set - left})
+
+
+def _text(step: float | None) -> str:
+    return f"{step:g} s" if isinstance(step, Seconds) else f"{step:g}"
+
+
+def refuse_times(settings: StaticsSettings, problem: Problem) -> None:
+    """Refuses times with units, of which there are some, where the load parameter is none.
+
+    Raises:
+        InputError: There are times, and all that acts is proportional to the load parameter.
+    """
+    timed = problem.history is not None and problem.history.timed
+    if not (timed or problem.curves or problem.driven_by_formula):
+        raise InputError(
+            "nothing depends on time: no curve, no formula in t, and no material that relaxes",
+            where=f"statics.{settings.in_time}",
+            expected="a number: 1 is the full load; or a `curve` of the loads",
+        )
 
 
 def refuse_memory(settings: StaticsSettings, *, timed: bool) -> None:

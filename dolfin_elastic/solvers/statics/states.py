@@ -35,6 +35,7 @@ class StaticStates:
     Args:
         newton: The solver; its problem and its assembler are in the state to be measured.
         end: Load factor at which the run ends.
+        seconds: The user speaks of it as a time.
 
     Attributes:
         count: States made so far, the initial one included.
@@ -47,8 +48,9 @@ class StaticStates:
         book: EnergyBook,
         watch: JacobianWatch,
         end: float,
+        seconds: bool,
     ) -> None:
-        self._newton, self._book, self._end = newton, book, end
+        self._newton, self._book, self._end, self._seconds = newton, book, end, seconds
         self._assembler, self._problem = newton.assembler, newton.assembler.problem
         self._supports = SupportForces(self._assembler)
         self._auditor = EquilibriumAuditor(self._problem, self._assembler, watch)
@@ -111,7 +113,12 @@ class StaticStates:
             numbers=self._numbers(),
             audit=audit,
             done=t / self._end,
+            seconds=self._in_seconds(),
         )
+
+    def _in_seconds(self) -> bool:
+        history = self._problem.history
+        return self._seconds or (history is not None and history.timed and history.passes)
 
     def failure(
         self,

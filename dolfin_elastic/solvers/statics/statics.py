@@ -23,7 +23,12 @@ from dolfin_elastic.solvers.nonlinear.convergence import Tolerance
 from dolfin_elastic.solvers.nonlinear.jacobian import JacobianWatch
 from dolfin_elastic.solvers.nonlinear.newton import Newton, scalar_unknowns
 from dolfin_elastic.solvers.statics.load_stepping import InitialGuess, LoadStepping
-from dolfin_elastic.solvers.statics.settings import FIRST, StaticsSettings, refuse_memory
+from dolfin_elastic.solvers.statics.settings import (
+    FIRST,
+    StaticsSettings,
+    refuse_memory,
+    refuse_times,
+)
 from dolfin_elastic.solvers.statics.step_size import StepSizes
 from dolfin_elastic.solvers.statics.whole_load import may_take_whole_load
 
@@ -183,6 +188,8 @@ class Statics(Marching):
                 where="statics.method",
                 expected='"load"',
             )
+        if self.settings.in_time:
+            refuse_times(self.settings, self.problem)
         if self.problem.history is not None and not self._preload:
             refuse_memory(self.settings, timed=self.problem.history.timed)
 
@@ -208,10 +215,8 @@ class Statics(Marching):
         else:
             formula = self.problem.driven_by_formula
             share = 1.0 if self.problem.linear and not formula else FIRST
-            first = min(s.first_step or share, s.max_step) * s.end
-            largest_share = (
-                FIRST if formula and "max_step" not in s.model_fields_set else s.max_step
-            )
+            first = min(s.first or share, s.largest) * s.end
+            largest_share = FIRST if formula and "max_step" not in s.model_fields_set else s.largest
             stops, largest = [], max(first, largest_share * s.end)
         return StepSizes(
             s.end,
