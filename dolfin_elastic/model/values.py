@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Annotated, Literal, NamedTuple, Self
 
 import numpy as np
@@ -334,6 +334,22 @@ def angle_of(written: float | str) -> Component:
         ):
             return Formula.parse(written, allowed=("t",))
         return to_si(written, "rad")
+
+
+def turned_at(written: object) -> Formula:
+    """The angle [rad] over time of something that turns, from its velocity, of the key `velocity`.
+
+    Args:
+        written: A number in rad/s, a text such as "90 deg/s", or a record over time, which is
+            integrated from rest.
+
+    Raises:
+        InputError: It is none of these.
+    """
+    with keyed("velocity"):
+        if isinstance(written, Mapping):
+            return replace(RecordFormula.read(written, "rad/s", 1), holds=False)
+        return Formula.parse(f"{to_si(written, 'rad/s')!r}*t", allowed=("t",))
 
 
 def components(

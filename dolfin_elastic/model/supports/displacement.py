@@ -11,6 +11,7 @@ from pydantic import model_validator
 
 from dolfin_elastic.core.errors import InputError, keyed
 from dolfin_elastic.core.formula import Formula
+from dolfin_elastic.core.schema import UnusedKeys, refuse_unused_keys
 from dolfin_elastic.core.shapes.directions import Direction, check_components, unit_vector
 from dolfin_elastic.core.shapes.shapes import Point
 from dolfin_elastic.core.si_text import given, listed
@@ -31,6 +32,7 @@ from dolfin_elastic.model.values import (
     depends_on_time,
     number_at,
     sized,
+    turned_at,
 )
 
 NORMAL = -1
@@ -355,8 +357,11 @@ class Rotation(PrescribingSupport):
         point: A point c on the axis of the undeformed body, in the mesh's unit.
         axis: x, y, z or a direction; in a plane body z.
         angle: "90 deg", a number in rad, or a formula in t; right-handed about the axis.
+        velocity: In place of the angle: a constant rate, "90 deg/s" or a number in rad/s, or a
+            record over time; it is integrated from rest.
         displacement: Translation d [m]: numbers, texts with units, or formulas in t.
-        curve: Amplitude of angle and translation over time; without it as in `displacement`.
+        curve: Amplitude of angle and translation over time, not of an angle by its velocity;
+            without it as in `displacement`.
 
     Example:
         Rotation(on="left", point=[0, 0, 0], axis="x", angle="90 deg")
@@ -365,7 +370,8 @@ class Rotation(PrescribingSupport):
     kind: Literal["rotation"] = "rotation"
     point: Point
     axis: Direction | None = None
-    angle: Any
+    angle: Any = None
+    velocity: object = None
     displacement: list[Any] | None = None
     curve: Curve | None = None
     lengths: ClassVar[tuple[str, ...]] = ("point",)
@@ -373,15 +379,22 @@ class Rotation(PrescribingSupport):
     @model_validator(mode="after")
     def _read(self) -> Rotation:
         _ = self.rotation_angle, self.translation
+        if self.velocity is not None and self.displacement is None:
+            what = "the velocity says how the angle changes over time"
+            expected = "leave one of them out; a record over time may stand for the velocity"
+            refuse_unused_keys(self, [UnusedKeys(["curve"], what, expected)])
         return self
 
     def describe(self, setting: Setting = ALONE) -> str:
         """See `Restraint`."""
         moved = f", and moved by {given(self.displacement, 'm')}" if self.displacement else ""
+        turned = f"by {given(self.angle, 'rad')}"
+        if self.velocity is not None:
+            turned = f"at {given(self.velocity, 'rad/s')}"
         return (
-            f"turned by {given(self.angle, 'rad')} about the axis {given(self.axis or 'z')} "
+            f"turned {turned} about the axis {given(self.axis or 'z')} "
             f"through {given(self.point, 'm')}{moved}"
-            + other_keys(self, "angle", "axis", "point", "displacement")
+            + other_keys(self, "angle", "velocity", "axis", "point", "displacement")
         )
 
     @cached_property
@@ -401,6 +414,18 @@ class Rotation(PrescribingSupport):
     @cached_property
     def rotation_angle(self) -> Component:
         """The angle [rad] as a number or formula."""
+        if self.angle is not None and self.velocity is not None:
+            raise InputError(
+                "angle and velocity are given together", where="velocity", expected="one of them"
+            )
+        if self.velocity is not None:
+            return turned_at(self.velocity)
+        if self.angle is None:
+            raise InputError(
+                "this key is missing",
+                where="angle",
+                expected='for example "90 deg"; or velocity = "90 deg/s"',
+            )
         return angle_of(self.angle)
 
     def place(self, t: float, default: Amplitude) -> FloatArray:
@@ -464,7 +489,9 @@ class Rotation(PrescribingSupport):
         fields: FieldsAt | None = None,
     ) -> FloatArray | float:
         """See `PrescribingSupport`."""
-        angle = self._scale(self.rotation_angle, t, default) * at_time(self.rotation_angle, t)
+        angle = at_time(self.rotation_angle, t)
+        if self.velocity is None:
+            angle *= self._scale(self.rotation_angle, t, default)
         r = x - np.array([*self.point, 0.0])[:3]
         Kr = np.cross(self.direction, r)
         KKr = np.cross(self.direction, Kr)

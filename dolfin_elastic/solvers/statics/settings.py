@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from contextlib import suppress
 from functools import cached_property
-from typing import TYPE_CHECKING, Annotated, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Literal, Self, TypeAlias
 
-from pydantic import Field, model_validator
+from pydantic import Field, GetCoreSchemaHandler, model_validator
+from pydantic_core import core_schema
 
-from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.core.errors import InputError, UnitError
 from dolfin_elastic.core.schema import (
     Record,
     UnusedKeys,
@@ -16,8 +18,7 @@ from dolfin_elastic.core.schema import (
     refuse_times_beyond,
     refuse_unused_keys,
 )
-from dolfin_elastic.core.units import Force, Length
-from dolfin_elastic.solvers.statics.load_parameter import LoadParameter, Seconds
+from dolfin_elastic.core.units import Force, Length, Quantity, to_si
 
 if TYPE_CHECKING:
     from dolfin_elastic.problem.problem import Problem
@@ -32,6 +33,57 @@ MOST_STEPS = 1_000_000
 
 LARGEST = 1e9
 """Largest load factor: beyond it no step from 0 could be taken."""
+
+
+_TIME = 'a time above 0, for example "10 s"'
+
+
+class Seconds(float):
+    """A time [s] that was written with its unit."""
+
+
+class _LoadParameter(Quantity):
+    """A bare number, or a time with a unit, which stays a `Seconds`."""
+
+    def read(self, value: object, bounded: Callable[[float], float]) -> object:
+        """See `Quantity`; a time is bounded by who knows where the run ends."""
+        if isinstance(value, Seconds):
+            return value
+        try:
+            number = to_si(value, self.unit)
+        except UnitError as error:
+            raise UnitError(error.what, expected=f"expected a number, or {_TIME}") from None
+        if not isinstance(value, str) or _bare(value):
+            return bounded(number)
+        if number <= 0:
+            raise InputError(f"{quoted(value)} is wrong", expected=f"expected {_TIME}")
+        return Seconds(number)
+
+    def __get_pydantic_core_schema__(
+        self, source: object, handler: GetCoreSchemaHandler
+    ) -> core_schema.CoreSchema:
+        return core_schema.no_info_wrap_validator_function(
+            self.read,
+            handler(source),
+            serialization=core_schema.plain_serializer_function_ser_schema(_written),
+        )
+
+
+def _bare(text: str) -> bool:
+    with suppress(ValueError):
+        float(text)
+        return True
+    return False
+
+
+def _written(value: object) -> object:
+    return f"{float(value)!r} s" if isinstance(value, Seconds) else value
+
+
+if TYPE_CHECKING:
+    LoadParameter: TypeAlias = float
+else:
+    LoadParameter = Annotated[float, _LoadParameter("s")]
 
 
 class StaticsSettings(Record):

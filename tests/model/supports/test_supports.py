@@ -39,6 +39,7 @@ from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.parallel import largest, total
 from dolfin_elastic.mesh import Body
 from dolfin_elastic.mesh.distribute import make_mesh
+from dolfin_elastic.model.amplitude import CONSTANT
 from dolfin_elastic.problem.constraints.rigid_motion import tangent
 from dolfin_elastic.solvers.assembly.assembler import Assembler
 from dolfin_elastic.solvers.diagnostics.rigid_body import free_motions
@@ -336,6 +337,47 @@ def test_half_a_turn(dim):
         assert largest(body.comm, float(worst)) < 1e-14
         assert off(problem, exact) < 1e-9
         assert abs(state.energies["strain"]) < 1e-9 * E
+
+
+@pytest.mark.parametrize("velocity", ["90 deg/s", "15 rpm", np.pi / 2], ids=str)
+def test_a_rotation_at_a_constant_rate(velocity):
+    """The angle is rate times time, in statics too: the body turns unstrained."""
+    body = box_body(size=(1.0, 0.4, 0.4), cells=(2, 1, 1))
+    held = Rotation(on=["left", "right"], point=[0.2, 0, 0], axis="z", velocity=velocity)
+    problem = Problem(body, NeoHookean(E=E, nu=NU), supports=[held], degree=1)
+    r = problem.V.tabulate_dof_coordinates() - np.array([0.2, 0, 0])
+    for state in Statics(problem, end="2 s", steps=6, rtol=1e-10).steps():
+        c, s = np.cos(np.pi / 2 * state.t), np.sin(np.pi / 2 * state.t)
+        exact = r @ (np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]) - np.eye(3)).T
+        assert off(problem, exact) < 1e-9
+    assert state.t == 2.0
+    assert "turned at" in held.describe()
+
+
+def test_a_rotation_by_a_record_of_its_velocity():
+    """1 s up to 2 rad/s, then 1 s of it, then rest: 1 + 2 rad; the curve moves only the point."""
+    table = {"table": [[0, 0], [1, 2], [2, 2]], "unit": "rad/s"}
+    keys = {"point": [0, 0, 0], "axis": "z", "displacement": [0, 0, 1.0]}
+    held = Rotation(on="a", velocity=table, curve=[[0, 0], [4, 1]], **keys)
+    x = np.array([[1.0, 0.0, 0.0]])
+    for t, angle in [(0.5, 0.25), (1.0, 1.0), (2.0, 3.0), (4.0, 3.0)]:
+        u = [np.asarray(held.at(i, x, t, CONSTANT)).item() for i in range(3)]
+        assert u == pytest.approx([np.cos(angle) - 1, np.sin(angle), t / 4], rel=1e-14)
+
+
+@pytest.mark.parametrize(
+    ("keys", "message"),
+    [
+        ({}, 'angle: this key is missing; for example "90 deg"; or velocity = "90 deg/s"'),
+        ({"angle": 1, "velocity": 1}, "velocity: angle and velocity are given together"),
+        ({"velocity": "90 deg"}, "velocity: '90 deg' has the wrong unit"),
+        ({"velocity": "2*t"}, "velocity: .* is not a number"),
+        ({"velocity": 1, "curve": "ramp"}, "curve: the velocity says how the angle changes"),
+    ],
+)
+def test_keys_of_a_rotation(keys, message):
+    with pytest.raises(InputError, match=f"^{message}"):
+        Rotation(on="a", point=[0, 0, 0], axis="z", **keys)
 
 
 @pytest.mark.parametrize(
