@@ -479,12 +479,12 @@ class History:
     def spent(self) -> dict[str, float]:
         """What the stored energy does not contain, by account [J]. Collective.
 
-        "relaxing": see `work`; "remembered": the same where no material depends on time;
-        "dissipated": what has become heat since the beginning.
+        Only accounts that a material has.  "relaxing": see `work`; "remembered": the same where no
+        material depends on time; "dissipated": what has become heat since the beginning.
         """
         self._compile()
         result = {}
-        if (self.timed or self._branches) and self.passes:
+        if self._branches and self.passes:
             result["relaxing" if self.timed else "remembered"] = self.work()
         if self._lost is not None:
             result["dissipated"] = self._dissipated()

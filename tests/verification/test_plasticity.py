@@ -224,6 +224,8 @@ def test_perzyna_to_first_order(rate: float) -> None:
                 again = bar.stress(rate * state.t, end / steps)
         assert axial(state) == pytest.approx(again, rel=1e-10)
         off.append(axial(state) / exact - 1)
+        assert state.timed
+        assert {"relaxing", "remembered"}.isdisjoint(state.energies)  # nothing has branches
     # Measured: 3e-5, 2.5e-3 and 4e-4 with 100 steps.
     assert 1.85 < off[0] / off[1] < 2.2
     assert abs(2 * off[1] - off[0]) < 1e-5
