@@ -13,6 +13,7 @@ from dolfin_elastic.core.si_text import vector
 from dolfin_elastic.report.words import loads_act, names, rows_of
 from dolfin_elastic.results.finished.findings import Value
 from dolfin_elastic.results.finished.run import FinishedRun
+from dolfin_elastic.results.verdict import follows_curves, parameter_text
 
 
 @dataclass(frozen=True)
@@ -157,7 +158,7 @@ def balance_of(run: FinishedRun) -> Balance | None:
     most = max((abs(x) for row in (*reactions.values(), *forces) for x in row), default=0.0)
     ended = summary.get("status") == "completed"
     if whole is not None:
-        when = "" if ended else " at their full values"
+        when = "" if ended else _when_largest(run, sums[0].get("time"))
         rows.append((f"all loads{when}, on the undeformed body", vector(whole, "N", most)))
     if twice is not None:
         rows.append(("of these on rigid plates, part of their reactions", vector(twice, "N", most)))
@@ -179,6 +180,17 @@ def balance_of(run: FinishedRun) -> Balance | None:
         Value.of(audit.get("balance_moment")),
         _balance_remark(run, given),
     )
+
+
+def _when_largest(run: FinishedRun, time: object) -> str:
+    """When loads of a run that has not come to its end are those that are summed up.
+
+    Args:
+        time: Of the sums; in statics the load parameter.
+    """
+    if follows_curves(run.case) and isinstance(time, int | float):
+        return f" at {parameter_text(time, run.summary)}"
+    return " at their full values"
 
 
 def _balance_remark(run: FinishedRun, given: Sequence[Described]) -> str:

@@ -14,7 +14,7 @@ from dolfin_elastic.core.si_text import given, listed, number, quantity
 from dolfin_elastic.model.describe import Setting
 from dolfin_elastic.model.materials.registry import MATERIALS
 from dolfin_elastic.results.finished.run import FinishedRun
-from dolfin_elastic.results.verdict import Table
+from dolfin_elastic.results.verdict import Table, follows_curves, unloaded
 
 
 def part_names(table: Table) -> list[str]:
@@ -132,8 +132,11 @@ def _statics(case: Table, summary: Table) -> str:
     factor, asked = summary.get("load_factor"), (case.get("statics") or {}).get("end", 1.0)
     if factor is None or not summary.get("steps"):
         return f"{text}, but no step was reached."
-    if factor > 1.0:  # curves say how large loads are then
-        return f"{text}, {grown} up to the load parameter {number(factor)}."
+    end = "; no load acts at the end" if unloaded(summary) else ""
+    if summary.get("timed"):
+        return f"{text}, {grown} up to t = {quantity(factor, 's')}{end}."
+    if factor > 1.0 or follows_curves(case):  # curves say how large loads are then
+        return f"{text}, {grown} up to the load parameter {number(factor)}{end}."
     full = asked == 1.0 and factor >= 1.0
     reached = "their full values" if full else f"{number(100 * factor)} % of their values"
     return f"{text}; the loads were raised {grown} to {reached}."

@@ -20,6 +20,9 @@ from dolfin_elastic.core.units import LengthUnit, to_si
 ENOUGH = 0.3
 """Estimated error of a stress above which it is not known."""
 
+UNLOADED = 1e-9
+"""Factor of a load below which it is none."""
+
 SAFEST = 1000.0
 """Upper bound of the safety factor, which would be infinite without stress."""
 OF_MATERIAL = " (material)"
@@ -113,7 +116,11 @@ def _ended_early(summary: Table, status: str) -> Verdict:
         return _unknown(f"{what} in the first step")
     if _table(summary, "case").get("dynamics"):
         return _unknown(f"{what} after t = {quantity(t, 's')}")
-    beyond = f"beyond {percent(_number(summary.get('load_factor')))} of the load"
+    load = _number(summary.get("load_factor"))
+    if summary.get("timed") or follows_curves(_table(summary, "case")):
+        beyond = f"beyond {parameter_text(load, summary)}"
+    else:
+        beyond = f"beyond {percent(load)} of the load"
     if status == "failed" and _table(summary, "diagnosis").get("cause") == "unstable":
         return _verdict("fails", f"no stable equilibrium {beyond}: {_LEAVES}")
     return _unknown(f"{what} {beyond}")
@@ -195,10 +202,14 @@ def _of_stress(summary: Table) -> Verdict:
 
 def _of_load(found: Verdict, summary: Table) -> Verdict:
     """A verdict on stresses, with the load at which the path was left and which it belongs to."""
-    if _table(summary, "case").get("dynamics") or "relaxing" in _table(summary, "energies"):
-        return found  # what grows is time
+    if _table(summary, "case").get("dynamics"):
+        return found
     kind, text = found.kind, found.text.removeprefix(f"{found.kind}: ")
     limits, load = summary.get("limit_points"), _number(summary.get("load_factor"))
+    if unloaded(summary):
+        return _verdict(kind, f"{text}; no load acts at the end")
+    if summary.get("timed") or "relaxing" in _table(summary, "energies"):
+        return found  # what grows is time
     if isinstance(limits, Sequence) and (at := [x for x in map(_number, limits) if x > 0]):
         kind = "not known" if kind == "holds" else kind
         text = f"{text}, but {_LEAVES} at {percent(at[0])} of the load"
@@ -210,12 +221,44 @@ def _of_load(found: Verdict, summary: Table) -> Verdict:
 
 def _load_text(load: float, summary: Table) -> str:
     """Which load a state has: in percent, or where some of it follows t, as the load parameter."""
-    case = _table(summary, "case")
-    given = [case.get(key) for key in _LOADED]
-    rows = [row for x in given if isinstance(x, list) for row in x if isinstance(row, Mapping)]
+    if follows_curves(_table(summary, "case")):
+        return f"at {parameter_text(load, summary)}"
+    return f"with {percent(load)} of the load"
+
+
+def parameter_text(load: float, summary: Table) -> str:
+    """The load parameter of a run in statics, which may be a time, in words."""
+    if summary.get("timed"):
+        return f"t = {quantity(load, 's')}"
+    return f"load parameter {number(load, 4)}"
+
+
+def _rows(case: Table, *keys: str) -> list[Table]:
+    given = [case.get(key) for key in keys]
+    return [row for x in given if isinstance(x, list) for row in x if isinstance(row, Mapping)]
+
+
+def follows_curves(case: Table) -> bool:
+    """Whether some of what acts is not in proportion to the load parameter of statics."""
+    rows = _rows(case, *_LOADED)
     values = str([[row[key] for key in row.keys() - _NAMES] for row in rows])
-    timed = any(row.get("curve") for row in rows) or _TIMED.search(values)
-    return f"at load parameter {number(load, 4)}" if timed else f"with {percent(load)} of the load"
+    return any(row.get("curve") for row in rows) or bool(_TIMED.search(values))
+
+
+def unloaded(summary: Table) -> bool:
+    """Whether there are loads in statics, and curves say that all of them are 0 at the end."""
+    from dolfin_elastic.model.amplitude import amplitude
+
+    case, load = _table(summary, "case"), _number(summary.get("load_factor"))
+    plates = [row for row in _rows(case, "support", "contact") if row.keys() & {"force", "moment"}]
+    rows = [*_rows(case, "load"), *plates]
+    try:
+        return bool(rows) and all(
+            row.get("curve") is not None and abs(amplitude(row["curve"]).at(load)) < UNLOADED
+            for row in rows
+        )
+    except (ElasticError, TypeError, ValueError):  # a file that is not read here
+        return False
 
 
 def reliable(error: Table, name: str, extremes: Table) -> Table | None:

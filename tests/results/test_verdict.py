@@ -9,6 +9,8 @@ from typing import Any
 import pytest
 
 from dolfin_elastic import Case, run
+from dolfin_elastic.report.words import what_was_computed
+from dolfin_elastic.results.finished.run import FinishedRun
 from dolfin_elastic.results.verdict import Verdict, verdict_of
 
 PEAK = {"value": 4.0, "place": [0.1, 0.0, 0.005], "part": "steel", "error": 0.1}
@@ -16,6 +18,7 @@ PEAK |= {"surface": "fillet", "singular": "", "unresolved": ""}
 RIM = {**PEAK, "value": 0.8, "singular": "the edge of the support 'left'"}
 RIM["place"] = [0.1, 0.03, 0.045]
 CASE = {"materials": {"steel": {"allowable": "235 MPa"}}}
+RELEASED = {"on": "t", "curve": [[0, 0], [0.5, 1], [1, 0], [60, 0]]}
 
 
 def summary(**changed: Any) -> dict[str, Any]:
@@ -149,6 +152,10 @@ MODES = [
             "not known: 4 times below 235 MPa, ± 10 %, on ‘fillet’, but the run has ended early; w",
         ),
         (
+            {**of_safety(PEAK), "load_factor": 0.3, "timed": True},
+            "holds: 4 times below 235 MPa, ± 10 %, on ‘fillet’",
+        ),
+        (
             {**of_safety(PEAK), "load_factor": 0.3, "energies": {"relaxing": 0.0}},
             "holds: 4 times below 235 MPa, ± 10 %, on ‘fillet’",
         ),
@@ -165,6 +172,14 @@ MODES = [
         (
             summary(status="failed", load_factor=0.5),
             "not known: no solution was found beyond 50 % of the load",
+        ),
+        (
+            summary(status="failed", load_factor=0.5, case={"load": [RELEASED]}),
+            "not known: no solution was found beyond load parameter 0.5",
+        ),
+        (
+            summary(status="failed", load_factor=60.0, timed=True, case={"load": [RELEASED]}),
+            "not known: no solution was found beyond t = 60 s",
         ),
         (
             summary(status="stopped", t=0.2, case={"dynamics": {"end": 1}}),
@@ -212,6 +227,32 @@ def test_what_has_yielded_comes_first() -> None:
     untouched = verdict_of(content | {"numbers": nothing})
     assert untouched is not None
     assert untouched.kind == "holds"
+
+
+@pytest.mark.parametrize(
+    ("rows", "acts"),
+    [
+        ({"load": [RELEASED, RELEASED]}, False),
+        ({"load": [{"on": "t", "curve": "load-unload"}]}, False),
+        ({"load": [RELEASED, {"on": "t"}]}, True),
+        ({"load": [{"on": "t", "curve": [[0, 0], [1, 0.1]]}]}, True),
+        ({"load": [{"on": "t", "curve": {"file": "a.csv"}}]}, True),
+        ({"load": [RELEASED], "support": [{"on": "a"}, {"on": "b", "moment": 3.0}]}, True),
+        ({"support": [{"on": "a"}]}, True),
+    ],
+    ids=str,
+)
+def test_a_part_that_was_unloaded_is_said_to_be(rows, acts, tmp_path):
+    """Not that it has its full loads."""
+    content = {**of_safety(PEAK), "load_factor": 1.0, "case": {**CASE, **rows}}
+    found = verdict_of(content)
+    assert found is not None
+    assert found.text.endswith("; no load acts at the end") != acts
+    (tmp_path / "summary.json").write_text(json.dumps({**content, "steps": 4}), encoding="utf-8")
+    told = " ".join(what_was_computed(FinishedRun(tmp_path), dim=3))
+    assert ("; no load acts at the end." in told) != acts
+    full = not any("curve" in row for row in rows.get("load", ()))
+    assert ("full values" in told) == full
 
 
 @pytest.mark.parametrize(
