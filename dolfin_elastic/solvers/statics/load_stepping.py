@@ -342,7 +342,8 @@ class LoadStepping:
         self._path_check.accept()
         self._speed.accept(known=not left_path)
         self._previous = step.t, step.start
-        self._sizes.succeeded(step.t, goal, result.longest)
+        remembers = self._problem.history is not None
+        self._sizes.succeeded(step.t, goal, self._retry.spent if remembers else result.longest)
         if left_path:
             self._sizes.begin_anew()
         self._t = goal

@@ -183,10 +183,12 @@ class RetryStrategy:
     Attributes:
         newton: The solver; its problem is at the load that is wanted.
         failed: The last iterate of the last failure, as `Newton.unknowns`.
+        spent: Newton iterations of all attempts of the last `solve`.
     """
 
     newton: Newton
     failed: FloatArray | None = field(default=None, init=False)
+    spent: int = field(default=0, init=False)
     _ready: bool = field(default=True, init=False)
 
     def restarted(self) -> None:
@@ -201,7 +203,7 @@ class RetryStrategy:
                 the last equilibrium, to which the problem returns if all fail.
         """
         newton, first = self.newton, starts[0][1]
-        rejected, worst = 0, None
+        rejected, worst, self.spent = 0, None, 0
         if len(starts) > 1 and self._residual_norm(starts[1][1]) < self._residual_norm(first):
             starts = [("", starts[1][1]), ("from where the last step ended", first)]
         for how, start, line_search in self._attempts(starts):
@@ -211,6 +213,7 @@ class RetryStrategy:
             result = self._attempt(start, line_search)
             self._ready = result.converged
             rejected += result.rejected
+            self.spent += result.newton
             if result.worst is not None and (worst is None or result.worst[0] < worst[0]):
                 worst = result.worst
             if result.converged:

@@ -225,4 +225,5 @@ class Statics(Marching):
             smallest=first * s.min_step,
             stops=[*stops, *s.times, *self.problem.corners],
             steady=s.steps is not None,
+            remembers=self.problem.history is not None,
         )

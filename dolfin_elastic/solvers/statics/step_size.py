@@ -9,6 +9,7 @@ bounds are close enough.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -30,6 +31,12 @@ STEPS_BEFORE_RETURN = 4
 more than few iterations: contact may take these in steps of any size, and what failed lies behind.
 """
 
+NEARLY = 0.99
+"""Size over another one from which on they are the same but for what a stop cuts off."""
+
+MOST_PATIENCE = 24
+"""Easy steps, at most, after which a size that has failed again and again is tried once more."""
+
 MAX_REFINEMENT = 64
 """First step over the smallest step to which `StepSpeed` may refine."""
 
@@ -42,6 +49,9 @@ class StepSizes:
         smallest: Size below which no step is tried.
         stops: Load factors that are met exactly, beside the end.
         steady: The user has set the size: many iterations do not shorten the next step.
+        remembers: Materials remember.  What made a step hard, as a plastic zone that spreads, then
+            goes on in the next ones: a size that took many iterations or failed is not tried again
+            before some easy steps, twice as many each time that it fails.
     """
 
     def __init__(
@@ -53,9 +63,13 @@ class StepSizes:
         smallest: float,
         stops: Sequence[float] = (),
         steady: bool = False,
+        remembers: bool = False,
     ) -> None:
         self.end, self.size, self._first = end, first, first
         self._steps_since_failure, self._steady = STEPS_BEFORE_GROWTH, steady
+        self._remembers = remembers
+        # The smallest size that is known to be too long, and easy steps before it is tried again.
+        self._too_long, self._patience = math.inf, STEPS_BEFORE_GROWTH
         self._largest, self._smallest = largest, smallest
         self._stops = sorted({s for s in stops if 0.0 < s < end} | {end})
 
@@ -84,7 +98,9 @@ class StepSizes:
         """
         self._steps_since_failure += 1
         calm, size = self._steps_since_failure, max(self.size, goal - t)
-        if newton <= FEW_ITERATIONS and calm >= STEPS_BEFORE_GROWTH:
+        if self._remembers:
+            self._carefully(goal - t, newton)
+        elif newton <= FEW_ITERATIONS and calm >= STEPS_BEFORE_GROWTH:
             # A stop may have cut the step short: the size before it is the one to double.
             self.size = min(self._largest, 2.0 * size)
         elif newton < MANY_ITERATIONS and calm >= STEPS_BEFORE_RETURN and size < self._first:
@@ -92,13 +108,45 @@ class StepSizes:
         elif newton >= MANY_ITERATIONS and not self._steady:
             self.size = max(self._smallest, 0.7 * (goal - t))
 
+    def _carefully(self, step: float, newton: int) -> None:
+        """Chooses the next size after a step where materials remember.
+
+        Args:
+            step: Load factor at its end minus that where it began.
+        """
+        if newton >= MANY_ITERATIONS:
+            self._avoid(step)
+            self.size = max(self._smallest, step / 2)
+            return
+        if step >= NEARLY * self._too_long:
+            self._too_long, self._patience = math.inf, STEPS_BEFORE_GROWTH
+        wanted = min(self._largest, 2.0 * max(self.size, step))
+        easy = self._patience if wanted >= NEARLY * self._too_long else STEPS_BEFORE_GROWTH
+        if newton > FEW_ITERATIONS:
+            easy = max(easy, STEPS_BEFORE_RETURN)
+            wanted = min(wanted, self._first)
+        if wanted > self.size and self._steps_since_failure >= easy:
+            recovers = math.isfinite(self._too_long)
+            self.size, self._steps_since_failure = wanted, 0 if recovers else easy
+
+    def _avoid(self, step: float) -> None:
+        """Notes that a size is too long."""
+        again = step >= NEARLY * self._too_long
+        self._patience = min(2 * self._patience, MOST_PATIENCE) if again else STEPS_BEFORE_GROWTH
+        self._too_long, self._steps_since_failure = step, 0
+
     def restart_state(self) -> dict[str, float]:
         """See `Restartable`. Not collective."""
-        return {"size": self.size, "calm": self._steps_since_failure}
+        numbers = {"size": self.size, "calm": self._steps_since_failure}
+        if math.isfinite(self._too_long):
+            numbers |= {"too long": self._too_long, "patience": self._patience}
+        return numbers
 
     def restore(self, saved: Mapping[str, Any]) -> None:
         """See `Restartable`. Not collective."""
         self.size, self._steps_since_failure = saved["size"], saved["calm"]
+        self._too_long = saved.get("too long", math.inf)
+        self._patience = saved.get("patience", STEPS_BEFORE_GROWTH)
 
     def begin_anew(self) -> None:
         """Returns to the first size, after a jump to a path of unknown curvature."""
@@ -135,6 +183,7 @@ class StepSizes:
         size = (goal - t) * (0.25 if inverted else 0.5)
         if size < self._smallest:
             return False
+        self._avoid(goal - t)
         self.size, self._steps_since_failure = size, 0
         return True
 
