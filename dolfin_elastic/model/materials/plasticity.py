@@ -463,5 +463,5 @@ class PlasticMemory(Memory):
         }
 
     def advanced(self, tensor: FloatArray, grown: FloatArray) -> FloatArray:
-        """What the law keeps of the tensor, after a growth of the plastic strain; (n, size) each."""
+        """What the law keeps of the tensor, after the plastic strain has grown; (n, size) each."""
         return tensor + grown

@@ -80,7 +80,7 @@ class PointOverSteps:
         program = self._program(expression)
 
         def value(*at: FloatArray, dt: float) -> FloatArray:
-            return np.asarray(program(*at, *self._known(dt), *self._root(at, dt)[:2]))
+            return np.asarray(program(*at, *self._known(dt), *self._root(at, dt)[0]))
 
         return value
 
@@ -97,18 +97,17 @@ class PointOverSteps:
 
     def found(self, *at: FloatArray, dt: float) -> BoolArray:
         """Where equations of the step have a root; everywhere, if there are none."""
-        found = self._root(at, dt)[2:]
-        return found[0] if found else np.ones(len(at[0]), dtype=bool)
+        return self._root(at, dt)[1]
 
     @cached_property
     def _equations(self) -> NumpyProgram:
         assert isinstance(self.law, ImplicitStep)
         return self._program(self.law.root.to_solve(self.law.equations(self.F)))
 
-    def _root(self, at: tuple[FloatArray, ...], dt: float) -> tuple[FloatArray, ...]:
-        """z, the inverse of dr/dz, and where they were found; empty without equations."""
+    def _root(self, at: Sequence[FloatArray], dt: float) -> tuple[list[FloatArray], BoolArray]:
+        """z and the inverse of dr/dz, nothing without equations; and where they were found."""
         if not isinstance(self._memory, ImplicitMemory):
-            return ()
+            return [], np.ones(len(at[0]), dtype=bool)
         start = np.hstack([self.values[v.name] for v in self._memory.unknowns])
         n, known = len(at[0]), self._known(dt)
         size = start.shape[1]
@@ -116,12 +115,12 @@ class PointOverSteps:
         none = np.zeros((1, size**2))
         points = _Newton(z)
         for _ in range(MOST):
-            k = np.flatnonzero(points.going)
+            k = np.flatnonzero(points.going).astype(np.int32)
             if not len(k):
                 break
             given = [x if len(x) == 1 else x[k] for x in (*at, *known)]
             points.advance(k, self._equations(*given, points.z[k], none))
-        return points.z, points.inverse.reshape(n, -1), points.found
+        return [points.z, points.inverse.reshape(n, -1)], points.found
 
     # --- steps ---
 
