@@ -124,17 +124,17 @@ class RegionHistory:
         if self._found is not None:
             self._found.make = lambda: self._make_roots(F(), w, jit_options)
 
-    def follow(self) -> None:
-        """Solves equations at points, see `History.follow`. Collective."""
-        if self._found is not None:
-            self._found.prepare()
-            self._found.follow()
-
     @property
-    def lost(self) -> int:
-        """Points of this rank at which equations had no root that was found last."""
-        roots = None if self._found is None else self._found.roots
-        return 0 if roots is None else roots.lost
+    def solves(self) -> bool:
+        """There are equations at the points."""
+        return self._found is not None
+
+    def follow(self) -> int:
+        """Solves them; how many points of this rank have no root. Collective."""
+        assert self._found is not None
+        self._found.prepare()
+        self._found.follow()
+        return 0 if self._found.roots is None else self._found.roots.lost
 
     def _make_roots(self, F: Expr, w: fem.Function, jit_options: JitOptions) -> PointRoots:
         """Compiles the equations at the points. Collective."""
@@ -304,14 +304,14 @@ class History:
         self._heat = 0.0  # of the committed state
         self._before: tuple[FloatArray, FloatArray] = (np.empty(0), np.empty(0))
 
-    def follow(self) -> None:
-        """Solves what equations at points determine, before DOLFINx assembles. Collective."""
-        for part in self._regions.values():
-            part.follow()
+    def follow(self) -> dict[str, int]:
+        """Solves what equations at points determine, before DOLFINx assembles. Collective.
 
-    def lost(self, name: str) -> int:
-        """Points of a region whose equations had no root that was found last. Collective."""
-        return int(total(self._comm, self._regions[name].lost if name in self._regions else 0))
+        Returns:
+            How many points had no root, by the names of regions that have equations.
+        """
+        parts = (part for part in self._regions.values() if part.solves)
+        return {part.name: int(total(self._comm, part.follow())) for part in parts}
 
     @property
     def passes(self) -> bool:

@@ -20,6 +20,7 @@ from dolfin_elastic import Dynamics, Energy, Problem, Statics, Support, box_body
 from dolfin_elastic.case.tables import Material
 from dolfin_elastic.core.errors import ConvergenceError, InputError
 from dolfin_elastic.model.kinematics import variables
+from dolfin_elastic.model.materials.stepped import SteppedSplitLaw
 from dolfin_elastic.model.point.checks import check_energy
 from dolfin_elastic.model.point.history import history
 from dolfin_elastic.model.point.steps import PointOverSteps
@@ -358,3 +359,106 @@ def test_wrong_input_is_refused(name: str) -> None:
     with pytest.raises(InputError) as caught:
         law_of(table)
     assert text in str(caught.value).replace('"', "'")
+
+
+# --- a branch far from equilibrium, built in ---
+
+LARGE = {"viscous_deviation": "large", "viscous": [{"ratio": 2.0, "time": TAU}]}
+RUBBER = {"law": "neo-hookean-split", "mu": 1.0, "K": 20.0, "volumetric": "quadratic"}
+
+
+def test_the_built_in_branch_is_the_written_one() -> None:
+    """Forces with the isochoric neo-Hookean law are those of `MAXWELL`, to round-off."""
+    own, written = (forces(held(law_of(table))) for table in ({**RUBBER, **LARGE}, MAXWELL))
+    assert own == pytest.approx(written, rel=1e-10, abs=1e-11 * np.abs(written).max())
+
+
+def test_the_branch_beside_a_pressure() -> None:
+    """nu = 0.5 and a pressure as an unknown: a square in plane strain, stretched and held."""
+    law = law_of({"law": "neo-hookean-split", "mu": 1.0, "nu": 0.5, **LARGE})
+    supports = [
+        Support(on="left", displacement=[0, FREE]),
+        Support(on="bottom", displacement=[FREE, 0]),
+        Support(on="right", displacement=[0.5, FREE], curve=[[0, 0], [0.4, 1], [1, 1]]),
+    ]
+    body = rectangle_body(size=(1, 1), cells=(1, 1))
+    problem = Problem(body, law, supports=supports, degree=2, geometry="plane-strain")
+    assert problem.unknowns.has("pressure")
+    point = PointOverSteps(law)
+    assert isinstance(point.law, SteppedSplitLaw)
+    shape = point.quantity(point.law.shape_stress(point.F))
+    for state in judged(Statics(problem, steps=5, rtol=1e-13))[1:]:
+        stretch = 1 + 0.5 * min(state.t / 0.4, 1)
+        F = np.diag([stretch, 1 / stretch, 1])[None]
+        P = shape(F, dt=0.2)[0]
+        point.commit(F, dt=0.2)
+        # no stress across; the pressure's part of P is p/stretch along and p stretch across
+        expected = P[0, 0] - P[1, 1] / stretch**2
+        assert state.reactions["right"][0] == pytest.approx(expected, rel=1e-10)
+
+
+DEVIATING: dict[str, dict[str, Any]] = {
+    "neo-hookean": {"law": "neo-hookean", "E": "1 MPa", "nu": 0.4},
+    "ogden": {"law": "ogden", "mu": [5e5, -1e5], "alpha": [2.5, -3], "K": "20 MPa"},
+    "gent": {"law": "gent", "mu": "0.3 MPa", "limit": 30, "K": "20 MPa"},
+}
+
+
+@pytest.mark.parametrize("name", DEVIATING)
+def test_small_deviations_fade_as_those_of_a_series(name: str) -> None:
+    """At strains of 1e-4 the stress is that of small deviations, but for the order of the step."""
+    stresses = []
+    for deviation in ("large", "small"):
+        keys = {**DEVIATING[name], **LARGE, "viscous_deviation": deviation}
+        point = PointOverSteps(law_of({**keys, "viscous_on": "isochoric"}))
+        stress, F = point.quantity(point.law.stress(point.F)), (np.eye(3) + 1e-4 * GOAL)[None]
+        found = []
+        for dt in (1e-9, 0.1, 0.1):  # nearly at once, and held
+            found.append(stress(F, dt=dt)[0])
+            point.commit(F, dt=dt)
+        stresses.append(found)
+    (sudden, first, second), small = stresses
+    size = np.abs(sudden).max()
+    assert np.abs(sudden - small[0]).max() < 1e-3 * size
+    # of backward Euler what is left of the branch is 1/(1 + x) in each step, x = dt/time
+    x, left = 0.1 / TAU, sudden - first
+    branch = left * (1 + x) / x
+    assert second == pytest.approx(sudden - branch * (1 - (1 + x) ** -2), abs=1e-3 * size)
+    assert np.abs(branch - (small[0] - small[1]) / (1 - exp(-x))).max() < 1e-3 * size
+
+
+@pytest.mark.parametrize("name", DEVIATING)
+def test_no_energy_is_won(name: str) -> None:
+    """Of 200 bodies on random paths; the tangent is symmetric."""
+    point, draw = PointOverSteps(law_of({**DEVIATING[name], **LARGE})), np.random.default_rng(4)
+    H, variable = variables(point.F)
+    tangent = point.quantity(ufl.diff(point.law.stress(variable), H))
+    point.values = {n: np.repeat(v, 200, axis=0) for n, v in point.values.items()}
+    for dt in (0.1, 0.003, 2.0, 0.5):
+        F = np.eye(3) + 0.2 * draw.uniform(-1, 1, (200, 3, 3))
+        assert point.found(F, dt=dt).all()
+        A = tangent(F, dt=dt)
+        assert np.abs(A - A.transpose(0, 3, 4, 1, 2)).max() < 1e-10 * np.abs(A).max()
+        before = point.values["dissipated_density"]
+        point.commit(F, dt=dt)
+        assert (point.values["dissipated_density"] >= before).all()
+
+
+REFUSED = {
+    "two": ({"viscous": [{"ratio": 1, "time": 1}] * 2}, "viscous: 2 branches; one; several have"),
+    "whole": ({"viscous_on": "whole"}, "viscous_on: the whole stress beside viscous_deviation"),
+    "linear": (
+        {"law": "linear-elastic", "mu": None, "K": None, "volumetric": None, "E": 1, "nu": 0.3},
+        "viscous_deviation: the law 'linear-elastic' has no branch far from equilibrium",
+    ),
+    "alone": ({"viscous": None}, "viscous_deviation: nothing relaxes without `viscous`"),
+}
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_what_cannot_deviate_is_refused(name: str) -> None:
+    keys, text = REFUSED[name]
+    table = {k: v for k, v in {**RUBBER, **LARGE, **keys}.items() if v is not None}
+    with pytest.raises(InputError) as caught:
+        law_of(table)
+    assert text in str(caught.value)

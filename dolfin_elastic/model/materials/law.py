@@ -115,6 +115,9 @@ class Branched(spatial.SpatialRecord):
             time 1 - sum of the ratios is left.
         viscous_shift: Temperature of the material, and how its relaxation times depend on it, by
             the law "wlf" or "arrhenius".
+        viscous_deviation: How far the isochoric stress of a branch may be from that after a long
+            time. "small": the branches are linear in the history of the stress (Simo); "large": one
+            branch, an elastic and a viscous deformation in series (Reese and Govindjee).
     """
 
     viscous: Annotated[tuple[WhenGiven[ViscousTerm], ...], InFile()] = Field(
@@ -123,6 +126,7 @@ class Branched(spatial.SpatialRecord):
     viscous_on: Literal["isochoric", "whole"] | None = None
     viscous_constants: Literal["long-term", "instantaneous"] = "long-term"
     viscous_shift: WhenGiven[Shift] | None = None
+    viscous_deviation: Literal["small", "large"] = "small"
 
     @model_validator(mode="before")
     @classmethod
@@ -160,7 +164,7 @@ class Branched(spatial.SpatialRecord):
 
     @model_validator(mode="after")
     def _relaxes(self) -> Self:
-        for key in ("viscous_on", "viscous_constants", "viscous_shift"):
+        for key in ("viscous_on", "viscous_constants", "viscous_shift", "viscous_deviation"):
             if key in self.model_fields_set and not self.viscous:
                 raise InputError(
                     "nothing relaxes without `viscous`", where=key, expected="leave it out"
@@ -195,11 +199,17 @@ class Branched(spatial.SpatialRecord):
     @property
     def relaxes_whole(self) -> bool:
         """The whole stress relaxes, not only that of a change of shape."""
-        return bool(self.viscous) and (self.viscous_on or self._usually_relaxes) == "whole"
+        usual = "isochoric" if self.viscous_deviation == "large" else self._usually_relaxes
+        return bool(self.viscous) and (self.viscous_on or usual) == "whole"
 
     @property
     def _usually_relaxes(self) -> Literal["isochoric", "whole"]:
         return "whole"
+
+    @property
+    def symmetric_steps(self) -> bool:
+        """The tangent is symmetric over a time step, too, where there is an energy."""
+        return True
 
     @property
     def isochoric_shape(self) -> bool:
@@ -278,6 +288,8 @@ class Law(Branched):
                 where="viscous",
                 expected="a law with an energy that remembers nothing else",
             )
+        if self.viscous_deviation == "large":
+            _check_deviation(self)
         return self
 
     @classmethod
@@ -349,11 +361,6 @@ class Law(Branched):
         return kind.memory is Law.memory and kind.branches is not Law.branches and self.has_energy
 
     @property
-    def symmetric_steps(self) -> bool:
-        """The tangent is symmetric over a time step, too, where there is an energy."""
-        return True
-
-    @property
     def own_memory(self) -> Memory | None:
         """What it remembers beside `viscous`; None: nothing."""
         return None
@@ -419,6 +426,28 @@ class Law(Branched):
         degree 2 (four points on a tetrahedron) keeps the optimal convergence rates.
         """
         return 0 if degree == 1 else 2 * (degree - 1)
+
+
+def _check_deviation(law: Law) -> None:
+    """Checks that a branch of a law may be far from equilibrium, see `viscous`."""
+    if len(law.viscous) > 1:
+        raise InputError(
+            f"{len(law.viscous)} branches",
+            where="viscous",
+            expected='one; several have viscous_deviation = "small"',
+        )
+    if law.relaxes_whole:
+        raise InputError(
+            'the whole stress beside viscous_deviation = "large"',
+            where="viscous_on",
+            expected='"isochoric"',
+        )
+    if law.linear or law.written or law.directions:
+        raise InputError(
+            f"the law '{law.name() or 'energy'}' has no branch far from equilibrium",
+            where="viscous_deviation",
+            expected="an isotropic law of large strains by name; a formula has `rate`",
+        )
 
 
 class SplitLaw(Law):

@@ -77,6 +77,11 @@ def in_a_row(variables: Iterable[Variable], values: Mapping[str, Expr]) -> Expr:
     return ufl.as_vector([x for v in variables for x in v.numbers(values[v.name])])
 
 
+def unimodular(X: Expr) -> Expr:
+    """X/det(X)^(1/3) of a tensor, shape (3, 3)."""
+    return X / ufl.det(X) ** (1 / 3)
+
+
 Values = Mapping[str, FloatArray]
 """Name of a variable to its numbers at nodes, shape (nodes, size)."""
 

@@ -37,7 +37,17 @@ from dolfin_elastic.model.kinematics import (
     volume_change,
 )
 from dolfin_elastic.model.materials.law import Law, SplitLaw, once
-from dolfin_elastic.model.materials.memory import Memory, Values, Variable
+from dolfin_elastic.model.materials.memory import (
+    Equations,
+    ImplicitMemory,
+    ImplicitStep,
+    Memory,
+    Root,
+    Values,
+    Variable,
+    in_a_row,
+    unimodular,
+)
 from dolfin_elastic.model.materials.stepped import SteppedLaw, SteppedSplitLaw
 
 _ROWS = 2048
@@ -50,7 +60,8 @@ class Viscous(Law):
 
     def branches(self) -> Memory:
         """See `Law`."""
-        return Relaxation(self)
+        large = self.viscous_deviation == "large"
+        return LargeRelaxation(self) if large else Relaxation(self)
 
 
 # --- what relaxes ---
@@ -130,7 +141,11 @@ class RelaxedShape(Relaxed):
 
     @once
     def relaxing(self, F: Expr) -> Expr:
-        """See `Relaxed`: of the energy at J^-1/3 F, of linear laws at I + dev eps."""
+        """See `Relaxed`."""
+        return self.isochoric_stress(F)
+
+    def isochoric_stress(self, F: Expr) -> Expr:
+        """P of the energy at J^-1/3 F, of linear laws at I + dev eps [Pa]."""
         law = self.law
         if law.linear:
             return ufl.dev(self._of_shape(_without_volume(F)))
@@ -275,3 +290,173 @@ class Relaxation(Memory):
         for begin in range(0, count, _ROWS):
             rows = slice(begin, min(begin + _ROWS, count))
             yield rows, self._room[:, : rows.stop - begin]
+
+
+# --- a branch far from equilibrium ---
+#
+# F = Fe Fv in the branch: a spring, the isochoric stress of the law at Fe times the ratio w, in
+# series with a dashpot.  With U the viscous stretch, Fv = R U with any rotation R, Fe = F U^-1, and
+# the Mandel stress M = Fe^T P(Fe), which is symmetric in isotropic laws,
+#
+#     d(U U)/dt = 1/(mu time) U dev M U,
+#
+# so that small deviations fade as exp(-t/time), mu being the law's shear modulus at small strains.
+# A step of backward Euler is an equation for U at each point; U keeps its determinant.  What is
+# lost, w dev M : dev M/(2 mu time) per second, is never negative.
+#
+# Source: S. Reese and S. Govindjee, Int. J. Solids Struct. 35 (1998) 3455, (24) to (33), here by U
+# in place of the left tensor of Fe.
+
+STRETCH = Variable("viscous_stretch", "symmetric", 1.0, unimodular=True)
+LOST = Variable("dissipated_density")
+"""Dissipated since the beginning, per reference volume [J/m^3]."""
+RATE = Variable("dissipation_rate")
+"""Its rate at the end of the last step [W/m^3]."""
+
+
+class LargeRelaxation(ImplicitMemory):
+    """What a law remembers whose branch may deviate far."""
+
+    fades = True
+    unknowns = (STRETCH,)
+    variables = (STRETCH, LOST, RATE)
+
+    def __init__(self, law: Viscous) -> None:
+        self._law = law
+        (self._ratio,), (self._time,) = law.series
+
+    def over_step(self, past: Mapping[str, Expr], step: Mapping[str, Expr]) -> LargeRelaxed:
+        """See `Memory`: a sudden one."""
+        found = in_a_row(self.unknowns, past)
+        return self.with_root(past, step, Root(self.unknowns, found, ufl.zero(STRETCH.size**2)))
+
+    def with_root(
+        self, past: Mapping[str, Expr], step: Mapping[str, Expr], root: Root
+    ) -> LargeRelaxed:
+        """See `ImplicitMemory`."""
+        kind = LargeRelaxedSplit if isinstance(self._law, SplitLaw) else LargeRelaxed
+        return kind(self._law, past, step, root)
+
+    def step(self, dt: float, *, passes: bool) -> dict[str, float]:
+        """See `Memory`; "old" is 1/(1 + dt/time), and "left" the ratio, 0 after a long time."""
+        law, endless = self._law, dt == float("inf")
+        return {
+            "old": 1.0 if endless else 1 / (1 + dt / self._time),
+            "left": 0.0 if endless else float(self._ratio),
+            "lasting": law.lasting,
+            "dt": 0.0 if endless else dt,
+            "fluidity": 1 / float(self._time),
+        }
+
+
+@dataclass(frozen=True)
+class LargeRelaxed(ImplicitStep, RelaxedShape):
+    """A law over a time step with a branch that may deviate far.
+
+    Attributes:
+        root: Of the branch's equations.
+    """
+
+    root: Root
+
+    @property
+    def _mu(self) -> Expr:
+        moduli = self.law.small_strain()
+        assert moduli is not None
+        return moduli.mu
+
+    @once
+    def _now(self, F: Expr) -> tuple[Expr, Expr]:
+        """U at the end of the step, and Fe."""
+        U = unimodular(self.root.values(self.root.numbers(self.equations(F)))[STRETCH.name])
+        return U, F * ufl.inv(U)
+
+    def equations(self, F: Expr) -> Equations:
+        """See `ImplicitStep`."""
+
+        def residual(now: Mapping[str, Expr]) -> Mapping[str, Expr]:
+            U, before, old = now[STRETCH.name], self.past[STRETCH.name], self.step["old"]
+            one = unimodular(U)
+            flow = one * self._mandel(F * ufl.inv(one)) * one / self._mu
+            return {STRETCH.name: old * (U * U - before * before) - (1 - old) * flow}
+
+        return residual
+
+    def _mandel(self, Fe: Expr) -> Expr:
+        """dev M of the law without the ratio [Pa]."""
+        return ufl.dev(ufl.sym(Fe.T * self._spring(Fe)))
+
+    def _spring(self, Fe: Expr) -> Expr:
+        """Isochoric stress of the law [Pa]."""
+        return self.isochoric_stress(Fe)
+
+    @once
+    def _branch(self, F: Expr) -> tuple[Expr, Expr]:
+        """dev M [Pa], and the branch's stress over the ratio [Pa], at the end of the step."""
+        U, Fe = self._now(F)
+        P = self._spring(Fe)
+        return ufl.dev(ufl.sym(Fe.T * P)), P * ufl.inv(U)
+
+    @once
+    def _beside(self, F: Expr) -> Expr:
+        """By how much the stress differs from the law's [Pa]."""
+        if self.law.lasting == 1.0:
+            return self.step["left"] * self._branch(F)[1]
+        change = (self.step["lasting"] - 1) * self._spring(F)  # before Fe, see `once`
+        return change + self.step["left"] * self._branch(F)[1]
+
+    @once
+    def stress(self, F: Expr) -> Expr:
+        """See `SteppedLaw`."""
+        elastic = self._of_shape(F)
+        return elastic + self._beside(F)
+
+    def _stored_beside(self, F: Expr) -> Expr:
+        lasting = (self.step["lasting"] - 1) * self.relaxing_energy(F)
+        return lasting + self.step["left"] * self.relaxing_energy(self._now(F)[1])
+
+    def energy(self, F: Expr) -> Expr:
+        """See `SteppedLaw`: with what the branch stores."""
+        return self.law.energy(F) + self._stored_beside(F)
+
+    def branch_stress(self, F: Expr) -> Expr | None:
+        """See `OverStep`: none, what is stored is known."""
+        return None
+
+    @once
+    def at_end(self, F: Expr) -> dict[str, Expr]:
+        """See `OverStep`; what is lost by the trapezoidal rule, but in the first step."""
+        M = self._branch(F)[0]
+        rate = self.step["left"] * self.step["fluidity"] * ufl.inner(M, M) / (2 * self._mu)
+        before = self.past[RATE.name]
+        mean = ufl.conditional(ufl.gt(before, 0.0), (before + rate) / 2, rate)
+        lost = self.past[LOST.name] + self.step["dt"] * mean
+        return {STRETCH.name: self._now(F)[0], LOST.name: lost, RATE.name: rate}
+
+    def lost(self, F: Expr) -> Expr:
+        """See `OverStep`."""
+        return self.at_end(F)[LOST.name]
+
+
+@dataclass(frozen=True)
+class LargeRelaxedSplit(LargeRelaxed, RelaxedSplit):
+    """The same of a law with a volumetric part, which remembers nothing."""
+
+    @once
+    def shape_stress(self, F: Expr) -> Expr:
+        """See `SplitLaw`, over the step."""
+        elastic = self._of_shape(F)  # before the branch's, of which the last F alone is kept
+        return elastic + self._beside(F)
+
+    def shape_energy(self, F: Expr) -> Expr:
+        """See `SplitLaw`: with what the branch stores."""
+        return self._stored(F) + self._stored_beside(F)
+
+    def energy(self, F: Expr) -> Expr:
+        """See `SteppedSplitLaw`."""
+        return SteppedSplitLaw.energy(self, F)
+
+    @once
+    def stress(self, F: Expr) -> Expr:
+        """See `SteppedSplitLaw`."""
+        return SteppedSplitLaw.stress(self, F)

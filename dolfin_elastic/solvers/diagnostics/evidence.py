@@ -229,8 +229,7 @@ def not_finite(cells: Cells) -> Fault | None:
 
 def _of_material(cells: Cells, part: MaterialRegion) -> Fault | None:
     problem = cells.problem
-    if problem.history is not None:
-        problem.history.follow()
+    lost = {} if problem.history is None else problem.history.follow()
     law, F = problem.weak_form.response(part, problem.w), problem.weak_form.F(problem.w)
     entries = [*_flat(law.stress(F)), *([law.energy(F)] if law.has_energy else [])]
     kernel = compile_expression(cells.comm, ufl.as_vector(entries), cells.points, problem.jit)
@@ -247,8 +246,7 @@ def _of_material(cells: Cells, part: MaterialRegion) -> Fault | None:
         J = np.linalg.det(F)
     upright = bool(largest(cells.comm, float(np.any(J > 0.0))))
     place = cells.first(bad)
-    rootless = problem.history is not None and problem.history.lost(part.name)
-    no_value = NO_ROOT if rootless else "stress or energy is not finite"
+    no_value = NO_ROOT if lost.get(part.name) else "stress or energy is not finite"
     why = _why(cells, part, F) or no_value
     low = smallest(cells.comm, float(np.min(J, initial=np.inf)))
     inverted = not upright and not np.isnan(low)

@@ -40,11 +40,6 @@ def old(name: str) -> str:
     return name + OLD
 
 
-def unimodular(X: Expr) -> Expr:
-    """X/det(X)^(1/3), shape (3, 3)."""
-    return X / ufl.det(X) ** (1 / 3)
-
-
 @cache
 def opaque(value: float) -> Expr:
     """A number as a UFL scalar that UFL does not compute with: dt = 0 may be a denominator.

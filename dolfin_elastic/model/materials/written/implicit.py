@@ -32,6 +32,7 @@ from dolfin_elastic.model.materials.memory import (
     Root,
     Variable,
     in_a_row,
+    unimodular,
 )
 from dolfin_elastic.model.materials.stepped import SteppedSplitLaw
 from dolfin_elastic.model.materials.written.history import (
@@ -39,7 +40,6 @@ from dolfin_elastic.model.materials.written.history import (
     Remembering,
     SteppedUser,
     old,
-    unimodular,
 )
 
 LOST = Variable("dissipated_density")
