@@ -176,13 +176,16 @@ class RegionHistory:
             for v in self.memory.variables
         )
 
-    def begin_step(self, dt: float, *, passes: bool) -> None:
+    def begin_step(self, dt: float, *, passes: bool, elastic: bool = False) -> None:
         """Sets the law over a step from the history, of a length [s]. Not collective.
 
         Args:
             passes: See `Memory.step`.
+            elastic: See `Memory.elastic_step`.
         """
-        for name, value in self.memory.step(dt, passes=passes).items():
+        constants = self.memory.step(dt, passes=passes)
+        constants |= self.memory.elastic_step() if elastic else {}
+        for name, value in constants.items():
             self._step[name].value = value
         if self._found is not None and self._found.roots is not None:
             self._found.roots.renew()
@@ -261,7 +264,9 @@ class History:
         relaxes: The stress of a material fades with time.
         timed: A material depends on how long a step takes.
         yields: A material depends on previous strains, however long they took.
+        flows: A material yields, as metals do.
         long_term: In place of a sudden load, all that relaxes has done so, until `begin`.
+        elastic: Nothing flows, until `reset` or `begin`.
         uncertainty: By how much the work of the last committed step may be wrong [J]: half the
             change of forces times the change of displacement.
     """
@@ -292,7 +297,8 @@ class History:
         weak_form.stepped.update({name: part.law for name, part in self._regions.items()})
         for part in self._regions.values():
             part.solves_by(partial(_elastic, weak_form, part.name), self._w, options(self._comm))
-        self.long_term = False
+        self.flows = any(PLASTIC_STRAIN in memory.variables for memory in memories)
+        self.long_term = self.elastic = False
         self._t: float | None = None  # of the past that is committed
         self._now = 0.0
         self._step: float | None = None
@@ -334,23 +340,29 @@ class History:
             for part in self._regions.values():
                 fades = self.long_term and part.memory.fades
                 dt = step if fades or not self.long_term else 0.0
-                part.begin_step(dt, passes=self.passes or fades)
+                part.begin_step(dt, passes=self.passes or fades, elastic=self.elastic)
 
-    def choose(self, *, long_term: bool) -> None:
-        """Chooses the stiffness of what fades, see `long_term`. Local."""
-        self.long_term, self._step = long_term, None
+    def choose(self, *, long_term: bool = False, elastic: bool = False) -> None:
+        """Chooses the stiffness of what fades, and of what flows. Local."""
+        self.long_term, self.elastic, self._step = long_term, elastic, None
         self.set_time(self._now)
 
     def reset(self) -> None:
         """The body at rest: forgets all, and no time passes until `begin`. Local."""
         for part in self._regions.values():
             part.reset()
-        self._heat = 0.0
+        self._heat, self.elastic = 0.0, False
         self.forget()
 
-    def changed(self) -> bool:
-        """Whether a material remembers strains, however long they took. Collective."""
+    def changed(self, *, flow: bool = True) -> bool:
+        """Whether a material remembers strains, however long they took. Collective.
+
+        Args:
+            flow: Also metals, whose plastic strain leaves an elastic stiffness to choose.
+        """
         parts = [part for part in self._regions.values() if not part.memory.fades]
+        if not flow:
+            parts = [part for part in parts if PLASTIC_STRAIN not in part.memory.variables]
         return largest(self._comm, float(any(part.changed for part in parts))) > 0.0
 
     def forget(self) -> None:
@@ -363,7 +375,7 @@ class History:
 
     def begin(self, t: float = 0.0) -> None:
         """Time passes from here, at the present state: forgets what depends on it. Collective."""
-        self.long_term = False
+        self.long_term = self.elastic = False
         self.forget()
         self._begin_at(t, 0.0)
 
@@ -423,7 +435,7 @@ class History:
 
         Of the committed state; nothing where no material yields.
         """
-        if not any(PLASTIC_STRAIN in part.memory.variables for part in self._regions.values()):
+        if not self.flows:
             return {}
         if not self._volumes:
             yielded = self._weak_form.of_steps(_flowed)

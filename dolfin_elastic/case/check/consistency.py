@@ -108,7 +108,8 @@ def _check_memory(case: Case, body: Body) -> None:
     for table, modes in (("modal", case.modal), ("buckling", case.buckling)):
         if modes is not None:
             relaxes = any(memory.fades for memory in memories)
-            refuse_stiffness(modes, table, relaxes=relaxes)
+            flows = any(isinstance(m.law, Plastic) for m in case.materials.values())
+            refuse_stiffness(modes, table, relaxes=relaxes, flows=flows)
     if not memories:
         return
     if case.dynamics is not None:
@@ -567,6 +568,20 @@ def _rate_free(case: Case) -> str:
     return f"[{case.analysis}]" if case.modal or case.buckling else "statics"
 
 
+def _yielding_preload(case: Case, name: str, law: Plastic, stiffness: str) -> Iterator[str]:
+    """What becomes of a metal that yields under the preload of modes."""
+    if law.timed:
+        yield (
+            f"materials.{name}.plastic_viscosity: no time passes in the preload of "
+            f"[{case.analysis}]: nothing yields, as under a sudden load"
+        )
+    elif stiffness != "elastic":
+        yield (
+            f"materials.{name}: a preload under which it yields is refused, unless "
+            f'{case.analysis}.stiffness = "elastic" takes its stiffness of unloading'
+        )
+
+
 def _notes(case: Case) -> Iterator[str]:
     """Keys without effect in the case's analysis."""
     for name, material in case.materials.items():
@@ -587,6 +602,8 @@ def _notes(case: Case) -> Iterator[str]:
                 f"materials.{key_text(name)}.{key}: nothing relaxes in [{case.analysis}]: the "
                 "stiffness is that of a sudden load"
             )
+        if isinstance(material.law, Plastic) and modes is not None and modes.preload:
+            yield from _yielding_preload(case, key_text(name), material.law, modes.stiffness)
     yield from step_notes(case)
     if case.analysis != "dynamics" and case.whole.dynamics is not None:
         for key in ("load", "support"):

@@ -148,6 +148,10 @@ class Memory(ABC):
         """
         return {}
 
+    def elastic_step(self) -> dict[str, float]:
+        """Constants that differ from those of `step` where nothing is to flow, by name."""
+        return {}
+
     def fold(self, values: Values, dt: float) -> Values:
         """`seen`, from the variables at the start of a step of a length [s]."""
         return values

@@ -47,6 +47,11 @@ STEEPEST = 20.0
 AT_ONCE = 1e30
 """1/dt [1/s] of a step without a length, in which nothing flows against a viscosity."""
 
+LIMIT = "limit"
+"""Name of the constant of a step by which the yield stress is multiplied."""
+NEVER = 1e9
+"""Its value where nothing is to yield: stiffness about a state, not a step."""
+
 
 class HardeningCurve(Record):
     """The yield stress over the equivalent plastic strain: a table, or Voce's law.
@@ -381,7 +386,7 @@ def returned(
         step: See `PlasticMemory.step`.
     """
     a, square = past[PLASTIC_STRAIN.name], 1.5 * ufl.inner(deviator, deviator)
-    limit = law.flow.stress(a)
+    limit = step[LIMIT] * law.flow.stress(a)
     yields = ufl.gt(square, limit**2)
     # UFL evaluates both branches: where nothing yields the root must not be that of 0.
     q = ufl.sqrt(ufl.conditional(yields, square, limit**2))
@@ -446,9 +451,13 @@ class PlasticMemory(Memory):
     def step(self, dt: float, *, passes: bool) -> dict[str, float]:
         """See `Memory`; of the trapezoidal rule the half that is one of backward Euler."""
         if not self.timed:
-            return {}
+            return {LIMIT: 1.0}
         implicit = dt / 2 if self._law.trapezoidal else dt
-        return {"per_dt": 1 / implicit if dt > 0 else AT_ONCE}
+        return {LIMIT: 1.0, "per_dt": 1 / implicit if dt > 0 else AT_ONCE}
+
+    def elastic_step(self) -> dict[str, float]:
+        """See `Memory`: a state at its yield stress is far from it."""
+        return {LIMIT: NEVER}
 
     def fold(self, values: Values, dt: float) -> Values:
         """See `Memory`: of the trapezoidal rule after half a step at the rate of its start."""

@@ -52,7 +52,7 @@ from dolfin_elastic.solvers.diagnostics.stability import FactorisedTangent
 from dolfin_elastic.solvers.eigen.critical_load import CriticalLoad
 from dolfin_elastic.solvers.eigen.mode_shapes import at_rest, refuse, shape
 from dolfin_elastic.solvers.eigen.preload import PreloadedAnalysis
-from dolfin_elastic.solvers.eigen.settings import BucklingSettings, refuse_stiffness
+from dolfin_elastic.solvers.eigen.settings import BucklingSettings
 from dolfin_elastic.solvers.eigen.slepc import DIRECT_LIMIT, Pair, destroy, prefixed
 from dolfin_elastic.solvers.linear.choice import Choice, LinearSettings, factorising
 from dolfin_elastic.solvers.statics.settings import StaticsSettings
@@ -102,8 +102,7 @@ class Buckling(PreloadedAnalysis):
     ) -> None:
         super().__init__(problem, statics, linear, petsc)
         self.settings = settings_from(BucklingSettings, settings, fields)
-        relaxes = problem.history is not None and problem.history.relaxes
-        refuse_stiffness(self.settings, self.table, relaxes=relaxes)
+        self._check_stiffness()
         self._check_statics_keys("buckling.preload", self.settings.preload)
         refuse(problem, "buckling", loaded=True)
         _check_laws(problem, self.settings.preload)
@@ -140,7 +139,7 @@ class Buckling(PreloadedAnalysis):
         Args:
             opposite: What was found for the reversed loads, if it was looked for elsewhere.
         """
-        self._refuse_yielded()
+        self._take_yielded()
         share = self.settings.preload
         both = self.settings.negative and share == 0.0
         modes = [*self._linearised(share, [1, -1] if both else [1]), *opposite]
@@ -174,10 +173,34 @@ class Buckling(PreloadedAnalysis):
                 for sign in signs:
                     pairs = self._pairs(perturbation, share, sign)
                     _warn_of_strains(pairs, perturbation.strain_rate, share)
+                    self._warn_of_yield(pairs, perturbation, share)
                     buckled += [(pair, base) for pair in pairs]
         finally:
             perturbation.destroy()
         return buckled
+
+    def _warn_of_yield(
+        self, pairs: Sequence[Pair], perturbation: Perturbation, share: float
+    ) -> None:
+        """Warns where a metal yields between the linearised state and the nearest mode."""
+        history, w = self.problem.history, self.problem.w.x.array
+        if history is None or not history.flows or not pairs:
+            return
+        elastic, base = history.elastic, w.copy()
+        nearest = min((p.value for p in pairs), key=lambda value: abs(value - share))
+        history.choose(long_term=history.long_term)
+        w[:] = base + (nearest - share) * perturbation.along
+        part = history.results()["yielded_fraction"]
+        w[:] = base
+        history.choose(long_term=history.long_term, elastic=elastic)
+        if part > 0.0:
+            log.warning(
+                "at load factor %.6g %.2g %% of the volume would yield: the body buckles or "
+                'collapses earlier than its elastic stiffness says; statics.method = "arc-length" '
+                "shows where",
+                nearest,
+                100 * part,
+            )
 
     def _pairs(self, perturbation: Perturbation, share: float, sign: int) -> list[Pair]:
         """Load factors and modes, beginning with the nearest."""
@@ -227,6 +250,7 @@ class Perturbation:
     Attributes:
         stiffness: K, ones on the diagonal where displacements are prescribed.
         rate: K_sigma + K_load, zero there.
+        along: Rate of all unknowns with the load factor, ghosts included.
         strain_rate: Rate of the strain with the load factor, root of its mean square.
     """
 
@@ -248,7 +272,7 @@ class Perturbation:
             raise InputError(
                 "no load deforms the body", where="load", expected="at least one that does"
             )
-        self.strain_rate = self._strain_rate(along)
+        self.along, self.strain_rate = along, self._strain_rate(along)
         self.stiffness: PETSc.Mat = assembler.tangent.matrix.copy()
         self.rate = self._rate(base, along, STEP * cell_size(problem.body) / top)
         self._residual(base, self._share)

@@ -41,7 +41,7 @@ from dolfin_elastic.solvers.eigen.mode_shapes import (
     undetermined,
 )
 from dolfin_elastic.solvers.eigen.preload import PreloadedAnalysis
-from dolfin_elastic.solvers.eigen.settings import UNMOVED, ModalSettings, refuse_stiffness
+from dolfin_elastic.solvers.eigen.settings import UNMOVED, ModalSettings
 from dolfin_elastic.solvers.eigen.slepc import (
     Pair,
     Spectrum,
@@ -113,8 +113,7 @@ class Modal(PreloadedAnalysis):
     ) -> None:
         super().__init__(problem, statics, linear, petsc)
         self.settings = settings_from(ModalSettings, settings, fields)
-        relaxes = problem.history is not None and problem.history.relaxes
-        refuse_stiffness(self.settings, self.table, relaxes=relaxes)
+        self._check_stiffness()
         self._check_statics_keys("modal.preload", 1.0 if self.settings.preload else 0.0)
         refuse(problem, "modal", loaded=self.settings.preload)
         for region in problem.regions:
@@ -142,7 +141,7 @@ class Modal(PreloadedAnalysis):
 
     def _about_this_state(self) -> Generator[Mode, None, None]:
         """See `about_this_state`."""
-        self._refuse_yielded()
+        self._take_yielded()
         self.choice.report()
         vibration = Vibration(self)
         try:

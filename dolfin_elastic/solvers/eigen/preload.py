@@ -14,7 +14,11 @@ from dolfin_elastic.core.together import loop_together
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.problem.state import Mode, State
 from dolfin_elastic.solvers.eigen.mode_shapes import shared
-from dolfin_elastic.solvers.eigen.settings import BucklingSettings, ModalSettings
+from dolfin_elastic.solvers.eigen.settings import (
+    BucklingSettings,
+    ModalSettings,
+    refuse_stiffness,
+)
 from dolfin_elastic.solvers.linear.choice import LinearSettings
 from dolfin_elastic.solvers.statics.load_stepping import InitialGuess
 from dolfin_elastic.solvers.statics.settings import StaticsSettings
@@ -50,24 +54,40 @@ class PreloadedAnalysis(ABC):
         self.statics, self.linear = statics or StaticsSettings(), linear or LinearSettings()
         self.petsc = {**self.linear.petsc, **(petsc or {})}
 
+    def _check_stiffness(self) -> None:
+        """Refuses a choice of stiffness that is none, see `refuse_stiffness`."""
+        history = self.problem.history
+        refuse_stiffness(
+            self.settings,
+            self.table,
+            relaxes=history is not None and history.relaxes,
+            flows=history is not None and history.flows,
+        )
+
     def _choose_stiffness(self) -> None:
         """Gives materials that relax the stiffness that is asked for, from here on. Local."""
         if self.problem.history is not None:
             self.problem.history.choose(long_term=self.settings.stiffness == "long-term")
 
-    def _refuse_yielded(self) -> None:
-        """Refuses a state in which a material has yielded. Collective.
+    def _take_yielded(self) -> None:
+        """Takes a state in which a metal has yielded as elastic, if that is asked for. Collective.
 
         Raises:
-            InputError: It has: its stiffness depends on which way it is strained.
+            InputError: It is not: the stiffness depends on which way the body is strained.
         """
-        if self.problem.history is not None and self.problem.history.changed():
+        history, elastic = self.problem.history, self.settings.stiffness == "elastic"
+        if history is None:
+            return
+        if history.changed(flow=not elastic):
             raise InputError(
                 "a material has yielded, and a state that has yielded has no modes: its stiffness "
                 "is another where the strain goes on than where it goes back",
                 where=f"{self.table}.preload",
-                expected="a smaller preload, or an elastic material",
+                expected="a smaller preload, or an elastic material"
+                + (', or stiffness = "elastic"' if history.flows and not elastic else ""),
             )
+        if elastic:
+            history.choose(elastic=True)
 
     def _check_statics_keys(self, key: str, share: float) -> None:
         """Refuses keys of [statics] that have no effect on the path to the preload.

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import logging
 from typing import Any
 
+import numpy as np
 import pytest
 from helpers.damaged import DamagedRubber
 
@@ -22,6 +24,7 @@ from dolfin_elastic import (
 from dolfin_elastic.case.check.consistency import check
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.model.materials.law import Law
+from dolfin_elastic.model.materials.laws.hencky import Hencky
 from dolfin_elastic.model.materials.laws.j2 import J2
 from dolfin_elastic.model.materials.laws.j2_logarithmic import J2Logarithmic
 
@@ -103,6 +106,84 @@ def test_a_metal_below_its_yield_stress_has_modes(kind: type[Law], pull: float) 
             list(modes.modes())
 
 
+def test_a_yielded_state_has_elastic_modes_if_asked_for() -> None:
+    """A law of small strains has those at rest."""
+    keys = {"E": 10.0, "nu": 0.3, "density": 1.0, "hardening": 1.0, "yield": 0.2}
+    rest = frequencies(LinearElastic(E=10, nu=0.3, density=1))
+    found = frequencies(J2(**keys), 0.25, stiffness="elastic")
+    assert found == pytest.approx(rest, rel=1e-8)
+
+
+def test_elastic_modes_of_large_strains() -> None:
+    """A rod that has been pulled 10 % longer vibrates as one that was made so, under its stress.
+
+    The latter, elastic, is made of the yielded shape and stressed by Hencky's law from its relaxed
+    length; the plastic strain keeps the volume, so that the mass is the same.
+    """
+    pull, stiff, hard = 0.3, 10.0, 1.0
+    keys = {"nu": 0.3, "density": 1.0}
+
+    def rod(size: tuple[float, float, float], law: Law, force: float) -> Problem:
+        body = box_body(size=size, cells=(1, 1, 4))
+        rollers = [
+            Support(on=on, displacement=[0 if i == j else "free" for j in range(3)])
+            for i, on in enumerate(("left", "front", "bottom"))
+        ]
+        pulled = Traction(on="top", value=[0, 0, force / (size[0] * size[1])])
+        return Problem(body, law, supports=rollers, loads=[pulled], degree=2)
+
+    metal = J2Logarithmic(E=stiff, hardening=hard, **{"yield": 0.2}, **keys)
+    problem = rod((1, 1, 4), metal, pull)
+    modes = Modal(problem, count=2, preload=True, stiffness="elastic")
+    found = [mode.frequency for mode in modes.modes()]
+    assert problem.history is not None
+    grown = float(np.exp(problem.history.results()["max_plastic_strain"]))
+    assert grown > 1.1
+    thin = 1 / np.sqrt(grown)
+    relaxed = rod((thin, thin, 4 * grown), Hencky(E=stiff, **keys), pull)
+    wanted = [m.frequency for m in Modal(relaxed, count=2, preload=True).modes()]
+    assert found == pytest.approx(wanted, rel=1e-7)
+
+
+def test_the_elastic_choice_needs_a_metal() -> None:
+    with pytest.raises(InputError, match="no metal yields") as error:
+        Modal(column(rubber(1, prony=PRONY)), count=1, stiffness="elastic")
+    assert error.value.where == "modal.stiffness"
+    law = DamagedRubber(E=1, nu=0.3, density=1, limit=0.5)
+    with pytest.raises(InputError, match="no metal yields"):
+        Modal(column(law, 0.1), count=1, preload=True, stiffness="elastic")
+
+
+def test_a_run_after_elastic_modes_yields() -> None:
+    keys = {"E": 10.0, "nu": 0.3, "density": 1.0, "hardening": 1.0, "yield": 0.2}
+    used, fresh = (column(J2(**keys), 0.25) for _ in range(2))
+    list(Modal(used, count=1, preload=True, stiffness="elastic").modes())
+    used.w.x.array[:] = 0.0
+    ends = [list(Statics(p, steps=2).steps())[-1].max_displacement for p in (used, fresh)]
+    assert ends[0] == pytest.approx(ends[1], rel=1e-9)
+
+
+@pytest.mark.parametrize(("limit", "noted"), [(1.1, False), (0.9, True)])
+def test_buckling_beyond_yield_is_noted(
+    limit: float, noted: bool, caplog: pytest.LogCaptureFixture
+) -> None:
+    """A column that yields before its Euler load, or not: with nu = 0 its stress is uniform."""
+    body = box_body(size=(1, 1, 10), cells=(1, 1, 10))
+
+    def factor(law: Law) -> float:
+        clamped = Support(on="bottom", displacement=[0, 0, 0])
+        push = Traction(on="top", value=[0, 0, -1])
+        problem = Problem(body, law, supports=[clamped], loads=[push], degree=2)
+        (mode, *_) = Buckling(problem, count=1).modes()
+        return mode.load_factor
+
+    critical = factor(Hencky(E=1000, nu=0.0))
+    with caplog.at_level(logging.WARNING):
+        metal = J2Logarithmic(E=1000, nu=0.0, **{"yield": limit * critical})
+        assert factor(metal) == pytest.approx(critical, rel=1e-6)
+    assert ("of the volume would yield" in caplog.text) == noted
+
+
 def test_at_rest_nothing_has_yielded() -> None:
     """Not even after a run on the same problem."""
     problem = column(DamagedRubber(E=1, nu=0.3, density=1, limit=0.5), 0.1)
@@ -126,3 +207,29 @@ def test_check_knows_it() -> None:
     case = Case(**given, materials={"gel": {**table, "prony": [{"g": 0.3, "tau": "1 s"}]}})
     assert not any("nothing relaxes" in note for note in check(case, case.read_body()))
     assert LinearElastic(E=1, nu=0, prony=[{"g": 0.3, "tau": 1}]).lasting == 0.7
+
+
+@pytest.mark.parametrize(
+    ("keys", "modal", "noted"),
+    [
+        ({}, {}, "a preload under which it yields is refused, unless modal.stiffness"),
+        ({}, {"stiffness": "elastic"}, ""),
+        ({"plastic_viscosity": "1 GPa s"}, {}, "nothing yields, as under a sudden load"),
+    ],
+)
+def test_check_tells_of_a_preload_that_yields(
+    keys: dict[str, Any], modal: dict[str, Any], noted: str
+) -> None:
+    steel = {"law": "j2-logarithmic", "E": "210 GPa", "nu": 0.3, "yield": "250 MPa", "rho": 7800}
+    given: dict[str, Any] = {
+        "mesh": {"box": {"size": [1, 1, 1], "cells": [1, 1, 1]}},
+        "support": [{"on": "left"}],
+        "load": [{"kind": "traction", "on": "right", "value": ["1 MPa", 0, 0]}],
+        "modal": {"preload": True, **modal},
+    }
+    case = Case(**given, materials={"steel": {**steel, **keys}})
+    notes = [n for n in check(case, case.read_body()) if n.startswith("materials.steel")]
+    assert len(notes) == bool(noted)
+    assert not noted or noted in notes[0]
+    at_rest = Case(**{**given, "modal": {}}, materials={"steel": {**steel, **keys}})
+    assert not any("yields" in n for n in check(at_rest, at_rest.read_body()))
