@@ -256,7 +256,7 @@ class _RegionError:
         sums = np.empty((len(self.part.cells), 4))
         recovered, difference = (NodalMeans(self._V, 6) for _ in range(2))
         for part in self.part.chunks():
-            at_nodes = patches.at_nodes(fitted, part)
+            at_nodes = self.part.at_nodes(fitted, part)
             raw = self.part.raw(part)
             sums[part], off = patches.errors(part, self._rule, at_nodes, raw)
             difference.add(patches, part, off)

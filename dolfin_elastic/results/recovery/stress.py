@@ -33,12 +33,14 @@ from dolfin_elastic.core.jit.cell_integrals import CellExpression
 from dolfin_elastic.core.parallel import total
 from dolfin_elastic.core.types import FloatArray, IndexArray, IntArray
 from dolfin_elastic.mesh.geometry.locate import LocatedPoint
+from dolfin_elastic.model.materials.plasticity import Plastic
 from dolfin_elastic.model.strength import Strength
 from dolfin_elastic.problem.state import State
 from dolfin_elastic.results.cell_fields import unknowns_of_outputs
 from dolfin_elastic.results.fields import FIELDS, axis_of, cauchy_stress
 from dolfin_elastic.results.recovery.patches import ROUNDS, Patches, RawValues, sampling_points
 from dolfin_elastic.results.recovery.strength import constant_axis, judged_apart, used_of
+from dolfin_elastic.results.recovery.yielding import YieldLimit, bounded
 from dolfin_elastic.results.verdict import SAFEST
 
 if TYPE_CHECKING:
@@ -279,6 +281,9 @@ class RegionStress:
             _patches(problem, region) if cells is None else Patches(problem.V, cells, problem.jit)
         )
         self._nodes = np.asarray(problem.V.element.basix_element.points)
+        self._yields: YieldLimit | None = None
+        if tensor is None and isinstance(region.law, Plastic) and problem.history is not None:
+            self._yields = YieldLimit(problem, region, w, everywhere[: self._samples])
 
     def __call__(self) -> FloatArray:
         """Recovered values at the nodes of the cells; the first six are the Cauchy stress [Pa].
@@ -286,7 +291,8 @@ class RegionStress:
         Returns:
             Shape (cells, nodes of a cell, 6 and more).
         """
-        return self.patches(self.samples())
+        samples = self.samples()
+        return self._allowed(slice(0, len(self.cells)), self.patches(samples), samples)
 
     def at_owned_nodes(self, fitted: FloatArray | None = None) -> FloatArray:
         """Recovered values at this rank's nodes. Collective.
@@ -302,8 +308,29 @@ class RegionStress:
             fitted = self.fitted()
         means = NodalMeans(self._problem.V, fitted.shape[2])
         for part in self.patches.parts():
-            means.add(self.patches, part, self.patches.at_nodes(fitted, part))
+            means.add(self.patches, part, self.at_nodes(fitted, part))
         return means.owned()
+
+    def at_nodes(self, fitted: FloatArray, part: slice) -> FloatArray:
+        """Recovered values at the nodes of some cells. Not collective.
+
+        Where the material yields, the stress is not above what its law allows, see `yielding`.
+
+        Args:
+            fitted: Polynomials, see `Patches.fit`.
+            part: One of `chunks`.
+
+        Returns:
+            Shape (cells, nodes of a cell, 6 and more).
+        """
+        values = self.patches.at_nodes(fitted, part)
+        return values if self._yields is None else self._allowed(part, values, self._sampled(part))
+
+    def _allowed(self, part: slice, values: FloatArray, samples: FloatArray) -> FloatArray:
+        if self._yields is None:
+            return values
+        most = np.maximum(von_mises(samples[..., :6]), self._yields(self.cells[part])).max(axis=1)
+        return bounded(values, von_mises(values[..., :6]), most)
 
     def fitted(self) -> FloatArray:
         """Polynomials of the stress of the state, see `Patches.fit`. Collective."""
