@@ -25,6 +25,8 @@ class Kind(StrEnum):
     MODAL = "modal"
     DYNAMICS = "dynamics"
     RUBBER = "rubber"
+    SPRINGBACK = "springback"
+    CREEP = "creep"
     CONTACT = "contact"
     CELL = "cell"
     AXISYMMETRIC = "axisymmetric"
@@ -41,6 +43,7 @@ def new(
       dolfin-elastic new                             a cantilever, in case.toml
       dolfin-elastic new mount.toml --kind rubber
       dolfin-elastic new reed.toml --kind modal      natural frequencies
+      dolfin-elastic new arm.toml --kind creep       a polymer that creeps
 
     \f
     Raises:
