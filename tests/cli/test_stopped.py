@@ -269,6 +269,17 @@ def test_while_a_form_is_compiled(ranks: int, by_file: bool, tmp_path: Path, mon
     assert folder.exists() == by_file
 
 
+@pytest.mark.parametrize("ranks", [1, 2])
+def test_while_a_form_gets_its_name(ranks: int, tmp_path: Path) -> None:
+    """UFL looks through large expressions for minutes, before anything is compiled."""
+    (tmp_path / "case.toml").write_text(small().to_toml())
+    patches = "slow(compile, 'compute_signature', 60)"
+    command = program("from dolfin_elastic.core.jit import compile", patches, "run", "case.toml")
+    with started(command, tmp_path, ranks) as process:
+        until((tmp_path / "there").exists, process)
+        stopped(process, 1, signal.SIGTERM if ranks == 1 else signal.SIGUSR2)
+
+
 def alive(process: int) -> bool:
     """Whether a process runs; one that has ended may be there until its parent has noticed."""
     try:

@@ -235,7 +235,12 @@ def _with_numbered_labels(expression: Expr) -> Expr:
 
 def _compiled(comm: MPI.Comm, objects: Sequence[Compilable], jit_options: JitOptions) -> list[Path]:
     """The folder of the code of each of several forms. Collective."""
-    named = [_named(one, jit_options) for one in objects]
+
+    def names() -> list[tuple[str, Compile]]:
+        with interruptible():  # UFL takes as long as FFCx where expressions are large
+            return [_named(one, jit_options) for one in objects]
+
+    named = on_all_ranks(comm, names)
     wanted = dict(named)  # equal forms once
     folders = dict(zip(wanted, find_on_all_ranks(comm, roots(jit_options), wanted), strict=True))
     return [folders[key] for key, _ in named]
