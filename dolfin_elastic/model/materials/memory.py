@@ -251,3 +251,49 @@ class ImplicitStep(OverStep):
     @abstractmethod
     def equations(self, F: Expr) -> Equations:
         """See `Root`."""
+
+
+# --- what a law with a stored energy dissipates ---
+
+LOST = Variable("dissipated_density")
+"""Dissipated since the beginning, per reference volume [J/m^3]."""
+
+
+def _force(variable: Variable) -> Variable:
+    """Of -dpsi/dx, the thermodynamic force of a variable x; of a tensor by its six numbers."""
+    return Variable(f"force_on_{variable.name}", variable.shape)
+
+
+def of_dissipation(unknowns: Iterable[Variable]) -> tuple[Variable, ...]:
+    """What `with_dissipation` needs to remember."""
+    return (LOST, *map(_force, unknowns))
+
+
+def with_dissipation(
+    root: Root,
+    now: Mapping[str, Expr],
+    past: Mapping[str, Expr],
+    energy: Callable[[Mapping[str, Expr]], Expr],
+) -> dict[str, Expr]:
+    """Unknowns x at the end of a step, with what has been dissipated.
+
+    That is the integral of the forces -dpsi/dx over x by the trapezoidal rule, exact where psi is
+    quadratic; in the first step, and where it is below zero because the forces have changed their
+    sign, that of the forces at the end.
+
+    Args:
+        now: x at the end, by name.
+        past: At the start, with `of_dissipation`.
+        energy: Stored energy psi of x at the present F [J/m^3].
+    """
+    variables = root.variables
+    numbers = ufl.variable(in_a_row(variables, now))
+    forces = -ufl.diff(energy(root.values(numbers)), numbers)
+    before = in_a_row(map(_force, variables), past)
+    change = in_a_row(variables, now) - in_a_row(variables, past)
+    of_end = ufl.dot(forces, change)
+    mean = (of_end + ufl.dot(before, change)) / 2
+    begun = ufl.And(ufl.gt(ufl.dot(before, before), 0.0), ufl.gt(mean, 0.0))
+    lost = past[LOST.name] + ufl.conditional(begun, mean, of_end)
+    named = {_force(Variable(name)).name: x for name, x in root.values(forces).items()}
+    return {**now, LOST.name: lost, **named}

@@ -38,6 +38,7 @@ from dolfin_elastic.model.kinematics import (
 )
 from dolfin_elastic.model.materials.law import Law, SplitLaw, once
 from dolfin_elastic.model.materials.memory import (
+    LOST,
     Equations,
     ImplicitMemory,
     ImplicitStep,
@@ -46,7 +47,9 @@ from dolfin_elastic.model.materials.memory import (
     Values,
     Variable,
     in_a_row,
+    of_dissipation,
     unimodular,
+    with_dissipation,
 )
 from dolfin_elastic.model.materials.stepped import SteppedLaw, SteppedSplitLaw
 
@@ -301,17 +304,12 @@ class Relaxation(Memory):
 #     d(U U)/dt = 1/(mu time) U dev M U,
 #
 # so that small deviations fade as exp(-t/time), mu being the law's shear modulus at small strains.
-# A step of backward Euler is an equation for U at each point; U keeps its determinant.  What is
-# lost, w dev M : dev M/(2 mu time) per second, is never negative.
+# A step of backward Euler is an equation for U at each point; U keeps its determinant.
 #
 # Source: S. Reese and S. Govindjee, Int. J. Solids Struct. 35 (1998) 3455, (24) to (33), here by U
 # in place of the left tensor of Fe.
 
 STRETCH = Variable("viscous_stretch", "symmetric", 1.0, unimodular=True)
-LOST = Variable("dissipated_density")
-"""Dissipated since the beginning, per reference volume [J/m^3]."""
-RATE = Variable("dissipation_rate")
-"""Its rate at the end of the last step [W/m^3]."""
 
 
 class LargeRelaxation(ImplicitMemory):
@@ -319,7 +317,7 @@ class LargeRelaxation(ImplicitMemory):
 
     fades = True
     unknowns = (STRETCH,)
-    variables = (STRETCH, LOST, RATE)
+    variables = (STRETCH, *of_dissipation(unknowns))
 
     def __init__(self, law: Viscous) -> None:
         self._law = law
@@ -344,8 +342,6 @@ class LargeRelaxation(ImplicitMemory):
             "old": 1.0 if endless else 1 / (1 + dt / self._time),
             "left": 0.0 if endless else float(self._ratio),
             "lasting": law.lasting,
-            "dt": 0.0 if endless else dt,
-            "fluidity": 1 / float(self._time),
         }
 
 
@@ -391,19 +387,18 @@ class LargeRelaxed(ImplicitStep, RelaxedShape):
         return self.isochoric_stress(Fe)
 
     @once
-    def _branch(self, F: Expr) -> tuple[Expr, Expr]:
-        """dev M [Pa], and the branch's stress over the ratio [Pa], at the end of the step."""
+    def _branch(self, F: Expr) -> Expr:
+        """The branch's stress over the ratio [Pa], at the end of the step."""
         U, Fe = self._now(F)
-        P = self._spring(Fe)
-        return ufl.dev(ufl.sym(Fe.T * P)), P * ufl.inv(U)
+        return self._spring(Fe) * ufl.inv(U)
 
     @once
     def _beside(self, F: Expr) -> Expr:
         """By how much the stress differs from the law's [Pa]."""
         if self.law.lasting == 1.0:
-            return self.step["left"] * self._branch(F)[1]
+            return self.step["left"] * self._branch(F)
         change = (self.step["lasting"] - 1) * self._spring(F)  # before Fe, see `once`
-        return change + self.step["left"] * self._branch(F)[1]
+        return change + self.step["left"] * self._branch(F)
 
     @once
     def stress(self, F: Expr) -> Expr:
@@ -425,13 +420,13 @@ class LargeRelaxed(ImplicitStep, RelaxedShape):
 
     @once
     def at_end(self, F: Expr) -> dict[str, Expr]:
-        """See `OverStep`; what is lost by the trapezoidal rule, but in the first step."""
-        M = self._branch(F)[0]
-        rate = self.step["left"] * self.step["fluidity"] * ufl.inner(M, M) / (2 * self._mu)
-        before = self.past[RATE.name]
-        mean = ufl.conditional(ufl.gt(before, 0.0), (before + rate) / 2, rate)
-        lost = self.past[LOST.name] + self.step["dt"] * mean
-        return {STRETCH.name: self._now(F)[0], LOST.name: lost, RATE.name: rate}
+        """See `OverStep`."""
+
+        def energy(values: Mapping[str, Expr]) -> Expr:
+            U = unimodular(values[STRETCH.name])
+            return self.step["left"] * self.relaxing_energy(F * ufl.inv(U))
+
+        return with_dissipation(self.root, {STRETCH.name: self._now(F)[0]}, self.past, energy)
 
     def lost(self, F: Expr) -> Expr:
         """See `OverStep`."""

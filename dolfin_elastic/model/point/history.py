@@ -12,8 +12,8 @@ from dolfin_elastic.core.si_text import percent, quantity
 from dolfin_elastic.core.types import AnyArray, FloatArray
 from dolfin_elastic.model.kinematics import variables
 from dolfin_elastic.model.materials.law import Law
+from dolfin_elastic.model.materials.memory import LOST
 from dolfin_elastic.model.materials.written.history import Remembering, SteppedUser
-from dolfin_elastic.model.materials.written.implicit import LOST
 from dolfin_elastic.model.point.steps import PointOverSteps
 from dolfin_elastic.model.point.tested import (
     ROUND_OFF,

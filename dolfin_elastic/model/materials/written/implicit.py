@@ -6,9 +6,7 @@ x_old those at its start.  A rate dx/dt = f(F, x) becomes the equations of backw
     x - x_old - dt f(F, x) = 0,
 
 and `residual` gives equations of one's own.  The stress is dpsi/dF with x fixed.  A variable that
-keeps its determinant is x/det(x)^(1/3) of the root x.  What a step dissipates is the integral of
-the forces -dpsi/dx over x, by the trapezoidal rule; in the first step, and where that is below zero
-because the forces have changed their sign, that of its end.
+keeps its determinant is x/det(x)^(1/3) of the root x.
 
 Source: Simo & Hughes, Computational Inelasticity (1998), sections 1.4 and 8.2; the projection:
 A. V. Shutov, R. Landgraf and J. Ihlemann, Comput. Methods Appl. Mech. Eng. 265 (2013) 213, whose
@@ -20,19 +18,20 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-import numpy as np
 import ufl
 from ufl.core.expr import Expr
 
 from dolfin_elastic.model.materials.law import SplitLaw, once
 from dolfin_elastic.model.materials.memory import (
+    LOST,
     Equations,
     ImplicitMemory,
     ImplicitStep,
     Root,
-    Variable,
     in_a_row,
+    of_dissipation,
     unimodular,
+    with_dissipation,
 )
 from dolfin_elastic.model.materials.stepped import SteppedSplitLaw
 from dolfin_elastic.model.materials.written.history import (
@@ -42,14 +41,6 @@ from dolfin_elastic.model.materials.written.history import (
     old,
 )
 
-LOST = Variable("dissipated_density")
-"""Dissipated since the beginning, per reference volume [J/m^3]."""
-
-
-def _force(variable: Variable) -> Variable:
-    """Of -dpsi/dx, the thermodynamic force of a variable."""
-    return Variable(f"force_on_{variable.name}", variable.shape)
-
 
 class EvolutionMemory(ImplicitMemory):
     """What a user's law remembers that gives rates or equations."""
@@ -57,8 +48,7 @@ class EvolutionMemory(ImplicitMemory):
     def __init__(self, law: Remembering) -> None:
         self._law, self.timed = law, law.timed
         self.unknowns = tuple(law.history.values())
-        forces = (_force(v) for v in self.unknowns)
-        self.variables = (*self.unknowns, LOST, *forces)
+        self.variables = (*self.unknowns, *of_dissipation(self.unknowns))
 
     def over_step(self, past: Mapping[str, Expr], step: Mapping[str, Expr]) -> SteppedEvolution:
         """See `Memory`: a step in which the unknowns stay as they are."""
@@ -136,24 +126,10 @@ class SteppedEvolution(ImplicitStep, SteppedUser):
     @once
     def at_end(self, F: Expr) -> dict[str, Expr]:
         """See `OverStep`."""
-        now, variables = self._now(F), self.root.variables
-        numbers = ufl.variable(in_a_row(variables, now))
         # Of x/det(x)^(1/3) the derivative is the part of the force that can do work.
-        energy = self._at(self._kept(self.root.values(numbers))).energy(F)
-        forces = -ufl.diff(energy, numbers)
-        before = in_a_row(map(_force, variables), self.past)
-        change = in_a_row(variables, now) - in_a_row(variables, self.past)
-        of_end = ufl.dot(forces, change)
-        mean = (of_end + ufl.dot(before, change)) / 2
-        begun = ufl.And(ufl.gt(ufl.dot(before, before), 0.0), ufl.gt(mean, 0.0))
-        lost = self.past[LOST.name] + ufl.conditional(begun, mean, of_end)
-        names = [_force(v).name for v in variables]
-        at = np.cumsum([0, *(v.size for v in variables)])
-        values = {
-            name: v.value(ufl.as_vector([forces[int(at[k]) + i] for i in range(v.size)]))
-            for k, (name, v) in enumerate(zip(names, variables, strict=True))
-        }
-        return {**now, LOST.name: lost, **values}
+        return with_dissipation(
+            self.root, self._now(F), self.past, lambda x: self._at(self._kept(x)).energy(F)
+        )
 
     def lost(self, F: Expr) -> Expr:
         """See `OverStep`."""
