@@ -34,12 +34,14 @@ from dolfin_elastic.solvers.linear.choice import LinearSettings, choose, in_bloc
 METAL = {"E": 200e9, "nu": 0.3}
 FLOW = {"yield_stress": 250e6, "hardening": 2e9}
 VISCOUS = {"viscous": [{"ratio": 0.3, "time": 1.0}, {"ratio": 0.2, "time": 0.1}]}
+LARGE = {"viscous": [{"ratio": 0.5, "time": 1.0}], "viscous_deviation": "large"}
 PAIRS = {
     "viscous, linear-elastic": (LinearElastic(**METAL), LinearElastic(**METAL, **VISCOUS)),
     "viscous, neo-hookean-split": (
         NeoHookeanSplit(**METAL),
         NeoHookeanSplit(**METAL, **VISCOUS),
     ),
+    "a branch far from equilibrium": (NeoHookeanSplit(**METAL), NeoHookeanSplit(**METAL, **LARGE)),
     "j2 over linear-elastic": (LinearElastic(**METAL), J2(**METAL, **FLOW)),
     "j2-logarithmic over hencky": (Hencky(**METAL), J2Logarithmic(**METAL, **FLOW)),
 }
