@@ -83,7 +83,7 @@ class RegionHistory:
         self._cells = region.cells
         self._spaces = {
             size: fem.functionspace(mesh, ("DG", order, (size,)))
-            for size in {v.size for v in (*memory.variables, *memory.seen)}
+            for size in {v.size for v in (*memory.variables, *memory.seen, *memory.told)}
         }
         dofmap = next(iter(self._spaces.values())).dofmap
         rows = dofmap.list[region.cells].reshape(-1)
@@ -91,10 +91,11 @@ class RegionHistory:
         # One region has all rows in their order, which a slice copies several times as fast.
         whole = np.array_equal(rows, np.arange(self._size))
         self._rows: IndexArray | slice = slice(self._size) if whole else rows
-        self._past = {v.name: fem.Function(self._spaces[v.size]) for v in memory.seen}
+        every = (*memory.seen, *memory.told)
+        self._past = {v.name: fem.Function(self._spaces[v.size]) for v in every}
         numbers = memory.step(0.0, passes=False)
         self._step = {name: fem.Constant(mesh, value) for name, value in numbers.items()}
-        past = {v.name: v.value(self._past[v.name]) for v in memory.seen}
+        past = {v.name: v.value(self._past[v.name]) for v in every}
         self._order = order
         self._found: OfPoints | None = None
         law = memory.over_step(past, self._step)
@@ -197,6 +198,32 @@ class RegionHistory:
         for name, values in self.memory.fold(self.values, dt).items():
             past[name][self._rows] = values
 
+    def tell(self, dt: float) -> None:
+        """Sets what the energies of the law over a step need beside `past`. Not collective.
+
+        Args:
+            dt: Length of the step [s].
+        """
+        if not self.memory.told:
+            return
+        at_points = {name: self._at_points(values) for name, values in self.values.items()}
+        for name, values in self.memory.tell(at_points, dt).items():
+            told = self._past[name].x.array.reshape(-1, values.shape[1])
+            told[self._rows] = self._at_nodes(values)
+
+    def _at_points(self, values: FloatArray) -> FloatArray:
+        """Of all points in a row, from those at nodes; of one-point rules both are the same."""
+        return values if len(self.points) == 1 else self._moved(self._table, values)
+
+    def _at_nodes(self, values: FloatArray) -> FloatArray:
+        """The inverse."""
+        return values if len(self.points) == 1 else self._moved(self._to_nodes, values)
+
+    def _moved(self, table: FloatArray, values: FloatArray) -> FloatArray:
+        size = values.shape[1]
+        rows = values.reshape(len(self._cells), table.shape[1], size)
+        return np.einsum("kn,cnj->ckj", table, rows).reshape(-1, size)
+
     @property
     def past(self) -> list[fem.Function]:
         """What the law over a step sees of the history, see `Memory.seen`."""
@@ -217,15 +244,20 @@ class RegionHistory:
         size = sum(v.size for v in found)
         if self._room is None:
             self._room = np.empty((len(self._cells), len(self.points) * size))
-        now = numbers.eval(self._cells, self._room).reshape(len(self._cells), -1, size)
-        if len(self.points) > 1:
-            now = np.einsum("nk,ckj->cnj", self._to_nodes, now)
-        parts = np.split(now.reshape(-1, size), np.cumsum([v.size for v in found])[:-1], axis=1)
+        now: FloatArray = numbers.eval(self._cells, self._room).reshape(-1, size)
+        values = self.values
+        if self.memory.pointwise:
+            values = {name: self._at_points(x) for name, x in values.items()}
+        else:
+            now = self._at_nodes(now)
+        parts = np.split(now, np.cumsum([v.size for v in found])[:-1], axis=1)
         by_name = {v.name: part for v, part in zip(found, parts, strict=True)}
-        followed = self.memory.follow(self.values, by_name, dt)
+        followed = self.memory.follow(values, by_name, dt)
+        if self.memory.pointwise:
+            followed = {name: self._at_nodes(x) for name, x in followed.items()}
         # What is no variable's own array stands in the room of the next evaluation.
         self.values = {
-            name: values if values is self.values[name] else np.array(values)
+            name: values if values is self.values.get(name) else np.array(values)
             for name, values in followed.items()
         }
 
@@ -305,7 +337,7 @@ class History:
         self._work = self.uncertainty = 0.0
         self._at_end: dict[str, CellExpression] = {}
         self._branches: list[Callable[[FloatArray], None]] = []
-        self._lost: fem.Form | None = None
+        self._told: dict[str, fem.Form] = {}
         self._volumes: list[fem.Form] = []
         self._heat = 0.0  # of the committed state
         self._before: tuple[FloatArray, FloatArray] = (np.empty(0), np.empty(0))
@@ -404,6 +436,7 @@ class History:
             self.settle()
         if self.passes:
             self._compile()
+        if self.passes and self._branches:
             self._before = self._forces() if forces is None else forces, self._moved()
 
     def _compile(self) -> None:
@@ -415,8 +448,13 @@ class History:
             part = self._regions[region.name]
             numbers = part.numbers_at_end(law, F)
             self._at_end[region.name] = CellExpression(numbers, part.points, w, jit)
-        if not (lost := self._weak_form.of_steps(lambda law, F: law.lost(F))).empty():
-            self._lost = compile_forms(self._comm, [lost], jit)[0]
+        told = {
+            "lost": self._weak_form.of_steps(lambda law, F: law.lost(F)),
+            "stored": self._weak_form.of_steps(lambda law, F: law.stored(F)),
+            "missed": self._weak_form.of_steps(lambda law, F: law.missed()),
+        }
+        told = {name: form for name, form in told.items() if not form.empty()}
+        self._told = dict(zip(told, compile_forms(self._comm, [*told.values()], jit), strict=True))
         if self._grows:
             return
         branches = [self._weak_form.branches()]
@@ -467,6 +505,8 @@ class History:
 
         Of a periodic cell first on the unknowns, then on the macroscopic displacement.
         """
+        if not self._branches:
+            return np.empty(0)
         result = np.zeros_like(self._moved())
         size = len(self._w.x.array)
         for add, part in zip(self._branches, (result[:size], result[size:]), strict=False):
@@ -491,21 +531,27 @@ class History:
     def spent(self) -> dict[str, float]:
         """What the stored energy does not contain, by account [J]. Collective.
 
-        Only accounts that a material has.  "relaxing": see `work`; "remembered": the same where no
-        material depends on time; "dissipated": what has become heat since the beginning.
+        Only accounts that a material has.  "relaxing": see `work`, and what branches of linear laws
+        store; "remembered": the same where no material depends on time; "dissipated": what has
+        become heat since the beginning.
         """
         self._compile()
         result = {}
-        if self._branches and self.passes:
-            result["relaxing" if self.timed else "remembered"] = self.work()
-        if self._lost is not None:
-            result["dissipated"] = self._dissipated()
+        if (self._branches or "stored" in self._told) and self.passes:
+            result["relaxing" if self.timed else "remembered"] = self.work() + self._sum("stored")
+        if "lost" in self._told:
+            result["dissipated"] = self._sum("lost")
         return result
 
-    def _dissipated(self) -> float:
-        """What has become heat since the beginning [J]. Collective."""
+    def _sum(self, name: str) -> float:
+        """Integral of what the laws tell of the present state, see `OverStep` [J]. Collective."""
+        if (form := self._told.get(name)) is None:
+            return 0.0
+        self.settle()
+        for part in self._regions.values():
+            part.tell(self._step or 0.0)
         self.follow()
-        return float(total(self._comm, float(fem.assemble_scalar(self._lost))))
+        return float(total(self._comm, float(fem.assemble_scalar(form))))
 
     def _over_step(self, now: FloatArray) -> tuple[float, float]:
         """Work of the present step, and by how much it may be wrong [J]. Collective.
@@ -535,15 +581,16 @@ class History:
         forces = self._forces()
         work, self.uncertainty = self._over_step(forces)
         self._work += work
-        if self._lost is not None:
-            lost = self._dissipated()
-            self.uncertainty += OF_A_STEP * max(lost - self._heat, 0.0)
-            self._heat = lost
         for name, part in self._regions.items():
             if self.passes or not part.memory.timed:
                 part.commit(self._at_end[name], 0.0 if self.long_term else self._step)
         # The stress of a state is that of the end of a step, and of the begin of the next.
         self._begin_at(self._now if self.passes else None, self._work, forces, settle=settle)
+        if settle:
+            before, self._heat = self._heat, self._sum("lost")
+            self.uncertainty += abs(self._sum("missed"))
+            if self.yields:
+                self.uncertainty += OF_A_STEP * max(self._heat - before, 0.0)
 
     # --- restarts ---
 
@@ -568,8 +615,7 @@ class History:
         for i, part in enumerate(self._regions.values()):
             part.take({v.name: fields[f"history {i + 1}.{v.name}"] for v in part.memory.variables})
         self._begin_at(saved["t"], saved["work"])
-        if self._lost is not None:
-            self._heat = self._dissipated()
+        self._heat = self._sum("lost")
 
 
 def _elastic(weak_form: WeakForm, name: str) -> Expr:

@@ -169,7 +169,9 @@ class WeakForm:
         return gradient_variation(context.geometry, unknowns.displacement(dw), context.X, stretch)
 
     def branches(self, *, of_cell: bool = False) -> ufl.Form:
-        """Of the internal virtual work that of `SteppedLaw.branch_stress`; may be empty.
+        """Of the internal virtual work that of `OverStep.branch_stress`; may be empty.
+
+        Not of laws that know what their branches store.
 
         Args:
             of_cell: Over the macroscopic displacement of a periodic cell, by a test function in V.
@@ -180,7 +182,8 @@ class WeakForm:
             v = ufl.TestFunction(self._unknowns.V)
             dF = gradient_variation(context.geometry, v, context.X, None)
         for region, law, F in self.elastic_parts():
-            if (stress := law.branch_stress(F)) is not None:
+            stress = law.branch_stress(F)
+            if stress is not None and law.stored(F) is None:
                 form += ufl.inner(stress, dF) * self.volume(region, self.rule(region))
         return form
 

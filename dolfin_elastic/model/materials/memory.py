@@ -94,11 +94,22 @@ class OverStep(ABC):
         """What `Memory.found` names, at the end of the step."""
 
     def branch_stress(self, F: Expr) -> Expr | None:
-        """First Piola-Kirchhoff stress [Pa] whose work is stored or lost, nobody knows which."""
+        """First Piola-Kirchhoff stress [Pa] whose work is stored or lost.
+
+        Nobody knows which, unless `stored` does.
+        """
         return None
 
     def plastic_strain(self, F: Expr) -> Expr | None:
         """Equivalent plastic strain at the end of the step; None where nothing yields."""
+        return None
+
+    def stored(self, F: Expr) -> Expr | None:
+        """Stored in branches, per reference volume [J/m^3]; None: not known."""
+        return None
+
+    def missed(self) -> Expr | None:
+        """By how much the trapezoidal rule missed the work of the last step [J/m^3], if known."""
         return None
 
     def lost(self, F: Expr) -> Expr | None:
@@ -113,12 +124,15 @@ class Memory(ABC):
         variables: What is kept.
         timed: It depends on how long a step takes: no time passes in a preload.
         fades: In a body at rest all of it is forgotten after a long time.
+        pointwise: `follow` and `tell` multiply values: what they are given holds at points, not at
+            the nodes of functions.
         plane_stress: It can be had with the stretch out of the plane as an unknown.
     """
 
     variables: tuple[Variable, ...]
     timed: bool = True
     fades: bool = False
+    pointwise: bool = False
     plane_stress: bool = True
 
     @property
@@ -131,12 +145,21 @@ class Memory(ABC):
         """What is evaluated at the end of a step: the variables, or what `follow` needs."""
         return self.variables
 
+    @property
+    def told(self) -> tuple[Variable, ...]:
+        """What `stored`, `lost` and `missed` of the law over a step need beside `seen`."""
+        return ()
+
+    def tell(self, values: Values, dt: float) -> Values:
+        """`told`, see `fold`."""
+        return {}
+
     @abstractmethod
     def over_step(self, past: Mapping[str, Expr], step: Mapping[str, Expr]) -> OverStep:
         """The law over a step.
 
         Args:
-            past: Of `seen`.
+            past: Of `seen` and `told`.
             step: Constants, of the names that `step` gives.
         """
 

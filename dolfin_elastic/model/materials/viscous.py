@@ -14,15 +14,22 @@ derivative by F is symmetric.  It acts either on the whole stress, S = F^-1 P, H
 isochoric one alone, that of psi(J^-1/3 F), S and H on J^-2/3 C/2, which leaves the pressure to the
 volume.  In linear laws these are the stress on eps, and its deviator on the deviator of eps.
 
+Of linear laws it is known what the branches store and lose.  With h = C e, e the strain of the
+spring of a branch, it stores w e:C:e/2 and loses w e:C:e/tau per time.  A strain that grows by d
+in a step gives e <- exp(-x) e + f d, and the integrals are quadratic in e and d, see `_Account`.
+Of large strains no free energy of the branches is known.
+
 Source: J. C. Simo, Comput. Methods Appl. Mech. Eng. 60 (1987) 153; Simo & Hughes, Computational
-Inelasticity (1998), section 10.3; f: R. L. Taylor, K. S. Pister and G. L. Goudreau, Int. J. Numer.
-Methods Eng. 2 (1970) 45.
+Inelasticity (1998), sections 10.2 and 10.3; f: R. L. Taylor, K. S. Pister and G. L. Goudreau, Int.
+J. Numer. Methods Eng. 2 (1970) 45.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from functools import cached_property
+from math import factorial
 
 import numpy as np
 import ufl
@@ -63,8 +70,9 @@ class Viscous(Law):
 
     def branches(self) -> Memory:
         """See `Law`."""
-        large = self.viscous_deviation == "large"
-        return LargeRelaxation(self) if large else Relaxation(self)
+        if self.viscous_deviation == "large":
+            return LargeRelaxation(self)
+        return LinearRelaxation(self) if self.linear else Relaxation(self)
 
 
 # --- what relaxes ---
@@ -126,8 +134,29 @@ class Relaxed(SteppedLaw):
         return share * self.relaxing(F) + self.of_the_past(F)
 
     def at_end(self, F: Expr) -> dict[str, Expr]:
-        """S of the module."""
-        return {"S": self.second(F)}
+        """S of the module, of linear laws the strain, too."""
+        S = self.second(F)
+        return {"S": S, "E": infinitesimal_strain(F)} if self.law.linear else {"S": S}
+
+    def stored(self, F: Expr) -> Expr | None:
+        """See `OverStep`."""
+        return self._told("stored", F)
+
+    def lost(self, F: Expr) -> Expr | None:
+        """See `OverStep`."""
+        return self._told("lost", F)
+
+    def missed(self) -> Expr | None:
+        """See `OverStep`."""
+        return self.past.get("missed")
+
+    def _told(self, name: str, F: Expr) -> Expr | None:
+        """A quadratic function of the strain, see `LinearRelaxation.tell`."""
+        if name not in self.past:
+            return None
+        E = infinitesimal_strain(F)
+        linear = self.past[name] + ufl.inner(self.past[f"{name} by E"], E)
+        return linear + self.step[name] * ufl.inner(self.second(F), E)
 
 
 @dataclass(frozen=True)
@@ -231,14 +260,14 @@ class Relaxation(Memory):
 
     fades = True
     seen = (Variable("H", "symmetric"),)
-    found = (Variable("S", "symmetric"),)
+    found: tuple[Variable, ...] = (Variable("S", "symmetric"),)
 
     def __init__(self, law: Viscous) -> None:
         self._law = law
         self._ratios, self._times = law.series
         self._names = [f"h{i + 1}" for i in range(len(self._times))]
         self.variables = tuple(Variable(name, "symmetric") for name in ("S", *self._names))
-        self._room = np.empty((2, _ROWS, 6))
+        self._room = np.empty((3, _ROWS, 6))
 
     def _weights(self, dt: float) -> tuple[FloatArray, FloatArray]:
         """e and f of each branch."""
@@ -263,9 +292,9 @@ class Relaxation(Memory):
 
     def fold(self, values: Values, dt: float) -> Values:
         """See `Memory`: H."""
-        H = np.empty_like(values["S"])
-        self.fold_into(values, dt, {"H": H})
-        return {"H": H}
+        out = {v.name: np.empty((len(values["S"]), v.size)) for v in self.seen}
+        self.fold_into(values, dt, out)
+        return out
 
     def fold_into(self, values: Values, dt: float, out: Values) -> None:
         """See `Memory`."""
@@ -281,6 +310,7 @@ class Relaxation(Memory):
         e, f = self._weights(dt)
         for rows, (part, change) in self._parts(len(values["S"])):
             np.subtract(found["S"][rows], values["S"][rows], out=change)
+            self._account(values, found, dt, rows, change)
             for i, name in enumerate(self._names):
                 h = values[name][rows]
                 h *= e[i]
@@ -288,11 +318,148 @@ class Relaxation(Memory):
             values["S"][rows] = found["S"][rows]
         return values
 
+    def _account(
+        self, values: Values, found: Values, dt: float, rows: slice, change: FloatArray
+    ) -> None:
+        """Accounts for the energy of a step before the branches follow.
+
+        Args:
+            change: S at the end of the step less that at its start, of these rows alone [Pa].
+        """
+
     def _parts(self, count: int) -> Iterator[tuple[slice, FloatArray]]:
         """Rows that fit into the cache together, with room for two tensors in each."""
         for begin in range(0, count, _ROWS):
             rows = slice(begin, min(begin + _ROWS, count))
-            yield rows, self._room[:, : rows.stop - begin]
+            yield rows, self._room[:2, : rows.stop - begin]
+
+
+# --- energy of linear laws ---
+
+_TWICE = np.array([1.0, 1.0, 1.0, 2.0, 2.0, 2.0])
+"""How often each of the six numbers stands in a tensor."""
+_SMALL = 0.5
+"""x up to which a difference is computed by its series."""
+_SERIES = [(-1) ** n * (2 - 2.0 ** (n - 1)) / factorial(n) for n in range(24, 2, -1)] + [0.0]
+"""Coefficients of (1 - f)/x - f^2/2 in x, the highest first; at x = 0.5 the rest is 1e-23."""
+
+
+@dataclass(frozen=True)
+class _Account:
+    """Integrals over a step of a branch of weight 1, see the module.
+
+    A strain e(s) = e E + d/x (1 - E) with E = exp(-s/tau) has, over 0 < s < dt,
+
+        lost = (1 - exp(-2 x))/2 e:C:e + (1 - exp(-x)) f e:C:d + g d:C:d,    g = (1 - f)/x - f^2/2,
+
+    which is never negative, and with what is stored the work of h on d.  The trapezoidal rule has
+    (h + h1):d/2 in place of that.
+    """
+
+    x: FloatArray
+    e: FloatArray
+    f: FloatArray
+
+    @cached_property
+    def g(self) -> FloatArray:
+        """See the class."""
+        x = np.where(self.x > _SMALL, self.x, 1.0)
+        plain = (1 - self.f) / x - self.f**2 / 2
+        return np.where(self.x > _SMALL, plain, np.polyval(_SERIES, np.minimum(self.x, _SMALL)))
+
+    @cached_property
+    def lost(self) -> FloatArray:
+        """Factors of e:C:e, e:C:d and d:C:d in what is lost, shape (3, branches)."""
+        return np.stack([-np.expm1(-2 * self.x) / 2, (1 - self.e) * self.f, self.g])
+
+    @cached_property
+    def stored(self) -> FloatArray:
+        """The same in what is stored at the end."""
+        return np.stack([self.e**2, 2 * self.e * self.f, self.f**2]) / 2
+
+    @cached_property
+    def missed(self) -> FloatArray:
+        """Factors of e:C:d and d:C:d in the trapezoidal work less the work, (2, branches)."""
+        return np.stack([(1 + self.e) / 2 - self.f, self.f / 2 - self.g - self.f**2 / 2])
+
+
+class LinearRelaxation(Relaxation):
+    """What a linear viscous law remembers: strain and e:C:e of each branch, and what is lost, too.
+
+    C is that of the law's constants; nothing but stresses and strains is needed for it.
+    """
+
+    pointwise = True
+    found = (*Relaxation.found, Variable("E", "symmetric"))
+    told = (
+        Variable("lost"),
+        Variable("lost by E", "symmetric"),
+        Variable("stored"),
+        Variable("stored by E", "symmetric"),
+        Variable("missed"),
+    )
+
+    def __init__(self, law: Viscous) -> None:
+        super().__init__(law)
+        self._last: tuple[float, _Account] | None = None
+        self._stored = [f"q{i + 1}" for i in range(len(self._times))]
+        scalars = tuple(Variable(name) for name in (*self._stored, "lost"))
+        self.variables = (*self.variables, Variable("E", "symmetric"), *scalars)
+
+    def _account_of(self, dt: float) -> _Account:
+        if self._last is None or self._last[0] != dt:
+            x = np.asarray(dt / self._times, dtype=np.float64)
+            self._last = dt, _Account(x, *self._weights(dt))
+        return self._last[1]
+
+    def step(self, dt: float, *, passes: bool) -> dict[str, float]:
+        """See `Memory`."""
+        account = self._account_of(dt)
+        of_change = {n: float(self._ratios @ getattr(account, n)[2]) for n in ("lost", "stored")}
+        return {**super().step(dt, passes=passes), **of_change}
+
+    def tell(self, values: Values, dt: float) -> Values:
+        """See `Memory`.
+
+        Of a sum of a e:C:e + b e:C:d + c d:C:d over the branches, with C e = h, C d = S - S0 and
+        d = E - E0, the parts without E and with E alone; S:E0 = S0:E.
+        """
+        account, S, E = self._account_of(dt), values["S"], values["E"]
+        result = {"missed": values.get("missed", np.zeros_like(values["lost"]))}
+        for name, before in (("lost", values["lost"]), ("stored", np.zeros_like(values["lost"]))):
+            a, b, c = self._ratios * getattr(account, name)
+            slope = sum(y * values[h] for y, h in zip(b, self._names, strict=True)) - c.sum() * S
+            rest = sum(y * values[q] for y, q in zip(a, self._stored, strict=True)) + before
+            result[name] = rest - ((slope * E) @ _TWICE)[:, None]
+            result[f"{name} by E"] = slope - c.sum() * S
+        return result
+
+    def follow(self, values: Values, found: Values, dt: float) -> Values:
+        """See `Memory`; "missed" is no variable, for it is of one step."""
+        result = {**values, "missed": np.zeros_like(values["lost"])}
+        super().follow(result, found, dt)
+        result["E"][:] = found["E"]
+        return result
+
+    def _account(
+        self, values: Values, found: Values, dt: float, rows: slice, change: FloatArray
+    ) -> None:
+        account, w = self._account_of(dt), self._ratios
+        part, d = self._room[0, : len(change)], self._room[2, : len(change)]
+        np.subtract(found["E"][rows], values["E"][rows], out=d)
+        dd = np.multiply(change, d, out=part) @ _TWICE
+        branches = [values[name][rows] for name in self._names]
+        ed = np.stack([np.multiply(h, d, out=part) @ _TWICE for h in branches])
+        lost, missed = values["lost"][rows, 0], values["missed"][rows, 0]
+        (a, b, c), (k, m) = w * account.lost, w * account.missed
+        lost += b @ ed + c.sum() * dd
+        missed += k @ ed + m.sum() * dd
+        for i, name in enumerate(self._stored):
+            q = values[name][rows, 0]
+            lost += a[i] * q
+            e, f, g = 2 * account.stored[:, i]
+            q *= e
+            q += f * ed[i] + g * dd
 
 
 # --- a branch far from equilibrium ---

@@ -58,9 +58,10 @@ class PointOverSteps:
         self.F = gradient_symbol() if F is None else F
         self._memory, self._symbols = memory, (self.F,) if F is None else tuple(symbols)
         domain = self._symbols[0].ufl_domain()
-        self._past = {v.name: ufl.Constant(domain, (v.size,)) for v in memory.seen}
+        every = (*memory.seen, *memory.told)
+        self._past = {v.name: ufl.Constant(domain, (v.size,)) for v in every}
         self._step = {name: ufl.Constant(domain) for name in memory.step(0.0, passes=True)}
-        past = {v.name: v.value(self._past[v.name]) for v in memory.seen}
+        past = {v.name: v.value(self._past[v.name]) for v in every}
         stepped: OverStep = memory.over_step(past, self._step)
         self._of_root: tuple[Expr, ...] = ()
         if isinstance(memory, ImplicitMemory):

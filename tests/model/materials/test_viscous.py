@@ -71,14 +71,18 @@ class Path:
         step = {n: ufl.as_ufl(x) for n, x in memory.step(dt, passes=True).items()}
         self.over = memory.over_step(past, step)
         assert isinstance(self.over, SteppedLaw)
-        S = self._program(self.over.at_end(self._symbol)["S"])(F)
-        numbers = np.stack([S[:, i, j] for i, j in SIX], axis=1)
+        at_end = self.over.at_end(self._symbol)
+        found = {}
+        for v in memory.found:
+            tensor = self._program(at_end[v.name])(F)
+            found[v.name] = np.stack([tensor[:, i, j] for i, j in SIX], axis=1)
         values = {v.name: np.zeros((1, v.size)) for v in memory.variables}
         self.before: list[FloatArray] = []
-        for n, now in enumerate(numbers):
+        for n in range(len(F)):
             length = 0.0 if sudden and n == 0 else dt
             self.before.append(memory.fold(values, length)["H"][0])
-            values = dict(memory.follow(values, {"S": now[None]}, length))
+            now = {name: numbers[n : n + 1] for name, numbers in found.items()}
+            values = dict(memory.follow(values, now, length))
 
     def _program(self, expression: Any) -> NumpyProgram:
         return NumpyProgram(expand_derivatives(expression), self._symbol, self._H)
