@@ -179,6 +179,7 @@ class _Session:
         words += ["--timeout-method=thread"]
         words += [f"--after={self.after}"] if self.after else []
         words += [f"--{name}" for name in ("all", "rest") if self.config.getoption(name)]
+        words += [f"--turn={option.turn}"]
         words += ["-k", option.keyword] if option.keyword else []
         words += ["-m", option.markexpr] if option.markexpr else []
         return words

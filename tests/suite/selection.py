@@ -8,7 +8,8 @@ Where the command line names files, all of their tests run, whatever set they be
                    of a `sample(k)` k              `long` nor SLOW; on 3 of every sixth
     rest (--rest)  PLENTY parameters of each       MOST parameters of each test of the files that
                    test, but the quick set and     run on n ranks; where they run on 2 and on 3,
-                   what is `spare`                 one test there, the next here, `long` ones on 2
+                   what is `spare`; which ones     one test there, the next here, `long` ones on 2
+                   follows from the commit
     all (--all)    every test                      every test and parameter of these files that is
                                                    not ENDURING, on each number of ranks that they
                                                    run on
@@ -23,6 +24,8 @@ from pathlib import Path
 
 import pytest
 from mpi4py import MPI
+
+from suite.turns import commit, first_of
 
 TESTS = Path(__file__).resolve().parent.parent
 
@@ -98,6 +101,7 @@ POINTS = {
     "test_scaling_model.py",
     "test_seams.py",
     "test_tutorials.py",
+    "test_turns.py",
     "verification/test_manufactured.py",
     "words/test_words.py",
 }
@@ -266,6 +270,11 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     group.addoption("--rest", action="store_true", help="what the quick set leaves out")
     group.addoption("--ranks", default="1,2,3", help="numbers of ranks to test on: 1,2,3")
     group.addoption(
+        "--turn",
+        metavar="WORD",
+        help="which parameters of long lists the rest takes; by default the commit says so",
+    )
+    group.addoption(
         "--variants",
         type=int,
         metavar="N",
@@ -301,10 +310,18 @@ def alone(config: pytest.Config) -> bool:
 @pytest.hookimpl(tryfirst=True)
 def pytest_cmdline_main(config: pytest.Config) -> None:
     """Spreads the tests on one rank over the cores, unless the command line says how."""
+    if config.getoption("turn") is None:  # before others start, whom it is handed on to
+        config.option.turn = commit() if config.getoption("rest") else ""
     many = whole(config) and alone(config) and 1 in asked(config)
     if many and config.getoption("numprocesses", 0) is None:
         config.option.numprocesses = len(os.sched_getaffinity(0))
         config.option.dist = "worksteal"
+
+
+def pytest_report_header(config: pytest.Config) -> str | None:
+    """How to repeat the choice."""
+    turn = config.getoption("turn")
+    return f"parameters of long lists: --turn={turn}" if turn else None
 
 
 def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
@@ -323,20 +340,35 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         mine = [item for item in mine if ranks in asked(config) and runs_on(_file(item), ranks)]
         if ranks > 1:
             mine = [item for item in mine if not any(word in item.name for word in ENDURING)]
-            if not config.getoption("all"):
-                mine = _on_ranks(mine, ranks)
         if not config.getoption("all"):
-            mine = [item for item in mine if item.get_closest_marker("spare") is None]
-            if ranks == 1:
-                mine = [item for group in _alike(mine) for item in _plenty(group)]
-            quick = set(map(id, _quick(mine, ranks)))
-            rest = config.getoption("rest")
-            mine = [item for item in mine if (id(item) in quick) != rest]
+            mine = _quick_or_rest(config, mine)
     if most := config.getoption("variants"):
         mine = [item for group in _alike(mine) for item in _spread(group, most)]
     taken = set(map(id, mine))
     config.hook.pytest_deselected(items=[item for item in items if id(item) not in taken])
     items[:] = mine
+
+
+def _quick_or_rest(config: pytest.Config, items: list[pytest.Item]) -> list[pytest.Item]:
+    """The quick set, which is always the same; or the rest, of which other parameters take turns.
+
+    Args:
+        items: What runs on so many ranks.
+    """
+    ranks, turn = MPI.COMM_WORLD.size, config.getoption("turn")
+
+    def some(turn: str) -> list[pytest.Item]:
+        chosen = _on_ranks(items, ranks, turn) if ranks > 1 else items
+        chosen = [item for item in chosen if item.get_closest_marker("spare") is None]
+        if ranks > 1:
+            return chosen
+        return [item for group in _alike(chosen) for item in _plenty(group, turn)]
+
+    quick = _quick(some(""), ranks)
+    if not config.getoption("rest"):
+        return quick
+    those = set(map(id, quick))
+    return [item for item in some(turn) if id(item) not in those]
 
 
 def _quick(items: Iterable[pytest.Item], ranks: int) -> list[pytest.Item]:
@@ -358,10 +390,13 @@ def _quick(items: Iterable[pytest.Item], ranks: int) -> list[pytest.Item]:
     return found
 
 
-def _on_ranks(items: list[pytest.Item], ranks: int) -> list[pytest.Item]:
+def _on_ranks(items: list[pytest.Item], ranks: int, turn: str) -> list[pytest.Item]:
     """The tests for so many of several ranks: those of a file on two and on three take turns.
 
     Long ones run on two alone, which three ranks on two cores would take twice as long for.
+
+    Args:
+        turn: See `_spread`.
     """
     found: set[int] = set()
     seen: Counter[str] = Counter()
@@ -374,7 +409,7 @@ def _on_ranks(items: list[pytest.Item], ranks: int) -> list[pytest.Item]:
             for item in group
             if (on_three and item.get_closest_marker("long") is None) == (ranks > 2)
         ]
-        found |= set(map(id, _spread(mine, MOST_OF_LAWS if file in LAWS else MOST)))
+        found |= set(map(id, _spread(mine, MOST_OF_LAWS if file in LAWS else MOST, turn)))
     return [item for item in items if id(item) in found]
 
 
@@ -386,23 +421,36 @@ def _alike(items: Iterable[pytest.Item]) -> Iterable[list[pytest.Item]]:
     return groups.values()
 
 
-def _spread(group: list[pytest.Item], most: int) -> list[pytest.Item]:
+def _spread(group: list[pytest.Item], most: int, turn: str = "") -> list[pytest.Item]:
     """So many of one test's parameters: each time the one whose values were taken least before.
 
-    So of laws in two and three dimensions both dimensions are among them.  The first always is.
+    So of laws in two and three dimensions both dimensions are among them.
+
+    Args:
+        turn: Says which one is the first of them, and which come before equal ones; empty: as
+            they stand.
     """
+    if len(group) <= most:
+        return group
+    first = first_of(turn, group[0].nodeid.partition("[")[0], len(group))
+    group = [*group[first:], *group[:first]]
+    chosen = set(map(id, _least_alike(group, most)))
+    return [item for item in group if id(item) in chosen]
+
+
+def _least_alike(group: list[pytest.Item], most: int) -> list[pytest.Item]:
     taken: list[int] = []
     times: Counter[tuple[str, str]] = Counter()
     values = [_values(item) for item in group]
-    while len(taken) < min(most, len(group)):
+    while len(taken) < most:
         left = [i for i in range(len(group)) if i not in taken]
         taken.append(min(left, key=lambda i: sum(times[value] for value in values[i])))
         times.update(values[taken[-1]])
-    return [group[i] for i in sorted(taken)]
+    return [group[i] for i in taken]
 
 
-def _plenty(group: list[pytest.Item]) -> list[pytest.Item]:
-    return group if _file(group[0]) in TEXTS else _spread(group, PLENTY)
+def _plenty(group: list[pytest.Item], turn: str) -> list[pytest.Item]:
+    return group if _file(group[0]) in TEXTS else _spread(group, PLENTY, turn)
 
 
 def _values(item: pytest.Item) -> list[tuple[str, str]]:
