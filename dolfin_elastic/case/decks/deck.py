@@ -106,6 +106,8 @@ class Step:
         loads: All that act at its end, also those of earlier steps.
         preloaded: It is about the equilibrium of the static step before it.
         periodic: Table [periodic].
+        increments: Keys of [statics] about the size of load steps, as fractions of this step, of
+            use where materials yield.
     """
 
     kind: Kind
@@ -116,6 +118,7 @@ class Step:
     loads: list[Entry] = field(default_factory=list)
     preloaded: bool = False
     periodic: Entry | None = None
+    increments: dict[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

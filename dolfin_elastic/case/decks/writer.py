@@ -226,18 +226,27 @@ def _text(deck: Deck, plan: Plan, known: System) -> str:
     blocks += [_entry("[[mass]]", entry, known) for entry in deck.masses]
     cells = [step.periodic for step in plan.steps if step.periodic is not None]
     blocks += [_entry("[periodic]", entry, known) for entry in cells]
-    return "\n\n".join([*blocks, *_analyses(plan, known)]) + "\n"
+    yields = any(str(one.keys.get("law")).startswith("j2") for one in deck.materials.values())
+    return "\n\n".join([*blocks, *_analyses(plan, known, yields)]) + "\n"
 
 
-def _analyses(plan: Plan, known: System) -> list[str]:
-    """[statics] of all its static steps, and the tables of others."""
+def _analyses(plan: Plan, known: System, yields: bool) -> list[str]:
+    """[statics] of all its static steps, and the tables of others.
+
+    Args:
+        yields: A material does, so that the result depends on the size of load steps.
+    """
     chain, blocks = plan.chain, list[str]()
     if chain:
         settings: dict[str, object] = {}
         for step in chain:
             settings |= step.settings
+        if yields and not settings.keys() & {"steps", "method"}:
+            settings |= _increments(chain)
         if len(chain) > 1:
             settings |= {"end": len(chain), "times": [float(i + 1) for i in range(len(chain))]}
+            steps = [cast("int", one.settings["steps"]) for one in chain if "steps" in one.settings]
+            settings |= {"steps": len(chain) * max(steps)} if steps else {}
         places = ", ".join(str(step.place) for step in chain)
         blocks.append(_block("[statics]", settings, known, places))
     for step in plan.steps:
@@ -246,6 +255,15 @@ def _analyses(plan: Plan, known: System) -> list[str]:
             keys = {**step.settings, **preload}
             blocks.append(_block(f"[{step.kind}]", keys, known, str(step.place)))
     return blocks
+
+
+def _increments(chain: Sequence[Step]) -> dict[str, float]:
+    """First and largest step of steps that go on from one another, as fractions of all of them."""
+    result = {k: v / len(chain) for k, v in chain[0].increments.items()}
+    if largest := [step.increments["max_step"] for step in chain if "max_step" in step.increments]:
+        result["max_step"] = min(largest) / len(chain)
+        result |= {k: min(result[k], result["max_step"]) for k in ("first_step",) if k in result}
+    return result
 
 
 def _head(deck: Deck, plan: Plan) -> str:

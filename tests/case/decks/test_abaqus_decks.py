@@ -317,6 +317,39 @@ def test_amplitudes_are_curves(tmp_path: Path) -> None:
 # --- steps ---
 
 
+@pytest.mark.parametrize(
+    ("words", "line", "expected"),
+    [
+        ("", "0.1, 2., 1e-5, 0.5", {"first_step": 0.05, "max_step": 0.25}),
+        ("", "0.1, 2.", {"first_step": 0.05}),
+        ("", "1., 1.", {}),
+        ("", "", {}),
+        (", DIRECT", "0.1, 2.", {"steps": 20}),
+        (", RIKS", "0.1, 2., 1e-5, 0.5", {"method": "arc-length"}),
+    ],
+)
+def test_increments_are_those_of_materials_that_yield(words, line, expected, tmp_path):
+    """Of elastic ones the result does not depend on them, so that the case chooses its own."""
+    step = f"*STEP\n*STATIC{words}\n" + (f"{line}\n" if line else "") + "*END STEP\n"
+    plastic = STEEL.replace("*DENSITY", "*PLASTIC\n200., 0.\n300., 0.1\n*DENSITY")
+    assert one(tmp_path, cube(plastic + step)).get("statics", {}) == expected
+    elastic = {k: v for k, v in expected.items() if k in ("steps", "method")}
+    assert one(tmp_path, cube(STEEL + step)).get("statics", {}) == elastic
+
+
+def test_increments_of_several_steps(tmp_path):
+    """Fractions of all of them: the first increment of the first, the smallest largest one."""
+    step = "*STEP, NLGEOM, INC=99\n*STATIC\n{}\n*BOUNDARY\ntop, 3, 3, {}\n*END STEP\n"
+    plastic = STEEL.replace("*DENSITY", "*PLASTIC\n200., 0.\n300., 0.1\n*DENSITY")
+    held = "*BOUNDARY\nbottom, 1, 3\ntop, 3, 3, 0.\n"
+    both = step.format("0.1, 1., , 0.4", 1) + step.format("0.1, 2., , 0.4", 0)
+    found = one(tmp_path, cube(held + plastic + both))["statics"]
+    assert found == {"first_step": 0.05, "max_step": 0.1, "end": 2, "times": [1, 2]}
+    both = both.replace("*STATIC", "*STATIC, DIRECT")
+    found = one(tmp_path, cube(held + plastic + both))["statics"]
+    assert found == {"steps": 40, "end": 2, "times": [1, 2]}
+
+
 def test_steps_that_go_on_from_one_another(tmp_path: Path) -> None:
     """Nonlinear ones are one case with curves; frequencies are about its end."""
     held = "*BOUNDARY\nbottom, 1, 3\ntop, 3, 3, 0.\n"

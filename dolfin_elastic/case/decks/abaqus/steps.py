@@ -57,8 +57,8 @@ def _preloaded(state: Reading) -> bool:
 
 def _static(state: Reading, card: Card) -> None:
     assert state.step is not None
-    numbers = [*floats(card, 0), 0.0, 0.0][:4] if card.lines else [0.0, 0.0]
-    first, period = numbers[0], numbers[1]
+    numbers = [*(floats(card, 0) if card.lines else []), *[0.0] * 4][:4]
+    first, period, _, most = numbers
     before = state.large or state.loads or state.forces
     if before and state.card is not None and "PERTURBATION" in state.card.options:
         text = "PERTURBATION: a small change of the state before it, under its own loads alone"
@@ -69,6 +69,9 @@ def _static(state: Reading, card: Card) -> None:
         state.note(card, "the path ends at the full load, not where RIKS says")
     elif "DIRECT" in card.options and 0 < first < state.period:
         state.step.settings["steps"] = min(round(state.period / first), _MOST)
+    else:
+        increments = {"first_step": first / state.period, "max_step": most / state.period}
+        state.step.increments = {k: v for k, v in increments.items() if 1 / _MOST <= v < 1}
     if "STABILIZE" in card.options:
         state.note(card, "STABILIZE: where no equilibrium is near, the case lets the body flow")
 
