@@ -130,7 +130,7 @@ class Plastic(Isotropic, SplitLaw):
             [Pa]; a table [[plastic strain, yield stress], ...]; or Voce's law {saturation = ...,
             rate = ..., slope = ...}.
         kinematic: Kinematic hardening: slope of the back stress over the plastic strain in
-            uniaxial tension [Pa].
+            uniaxial tension [Pa]; without, there is no back stress.
         plastic_viscosity: eta of the overstress eta da/dt [Pa s] (Perzyna): the faster, the more
             stress. Statics then needs steps in time.
         rate_integration: With `plastic_viscosity`, how a step follows the plastic rate:
@@ -142,7 +142,7 @@ class Plastic(Isotropic, SplitLaw):
         default=None, gt=0, validation_alias=AliasChoices("yield_stress", "yield")
     )
     hardening: Hardening = 0.0
-    kinematic: Stress = Field(default=0.0, ge=0)
+    kinematic: Stress | None = Field(default=None, ge=0)
     plastic_viscosity: Viscosity | None = Field(default=None, gt=0)
     rate_integration: Literal["backward-euler", "trapezoidal"] | None = None
 
@@ -215,6 +215,11 @@ class Plastic(Isotropic, SplitLaw):
     def timed(self) -> bool:
         """It depends on how long a step takes."""
         return self.plastic_viscosity is not None
+
+    @property
+    def back_slope(self) -> Scalar:
+        """`kinematic`, or 0."""
+        return 0.0 if self.kinematic is None else self.kinematic
 
     @property
     def trapezoidal(self) -> bool:
@@ -390,7 +395,7 @@ def returned(
     yields = ufl.gt(square, limit**2)
     # UFL evaluates both branches: where nothing yields the root must not be that of 0.
     q = ufl.sqrt(ufl.conditional(yields, square, limit**2))
-    M = 3 * law.mu + law.kinematic
+    M = 3 * law.mu + law.back_slope
     if law.plastic_viscosity is not None:
         M += law.plastic_viscosity * step["per_dt"]
     growth = law.flow.growth(q, M, a)

@@ -21,7 +21,12 @@ from dolfin_elastic.report.laws import materials_of
 pytestmark = pytest.mark.usefixtures("serial_only")
 
 E, NU, YIELD, H, KIN = 200e9, 0.3, 250e6, 2e9, 5e9
-KINDS: list[tuple[type[Plastic], float]] = [(J2, 0.0), (J2, KIN), (J2Logarithmic, 0.0)]
+KINDS: list[tuple[type[Plastic], float]] = [
+    (J2, 0.0),
+    (J2, KIN),
+    (J2Logarithmic, 0.0),
+    (J2Logarithmic, KIN),
+]
 TIGHT = 1e-8
 """Of what follows from a strain to round-off; the tangent is that of a step of 1e-14."""
 

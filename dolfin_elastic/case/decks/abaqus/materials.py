@@ -223,7 +223,7 @@ def _no_plastic(
     if kind not in ("ISOTROPIC", "KINEMATIC") or (kind == "KINEMATIC" and len(table) > 2):
         return f"HARDENING={kind} is not there but for a straight line"
     if kind == "KINEMATIC" and use.large:
-        return "a back stress at large strains (NLGEOM) is not there"
+        return "its back stress turns with large strains (NLGEOM) otherwise than here"
     if table[0][0] != 0.0 or table[0][1] <= 0.0:
         return "its first row needs a yield stress above 0 at a plastic strain of 0"
     rises = all(b > a and high >= low for (a, low), (b, high) in pairwise(table))

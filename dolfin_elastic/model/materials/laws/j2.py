@@ -79,7 +79,7 @@ class SteppedJ2(SteppedSplitLaw):
         """Growth of the equivalent plastic strain, and the plastic strain at the end."""
         before, law = self.past[TENSOR.name], self.law
         elastic = ufl.dev(infinitesimal_strain(F)) - before
-        trial = 2 * law.mu * elastic - 2 / 3 * law.kinematic * before
+        trial = 2 * law.mu * elastic - 2 / 3 * law.back_slope * before
         found = returned(law, trial, self.past, self.step)
         return found.growth, before + 1.5 * found.share * trial
 
@@ -95,7 +95,7 @@ class SteppedJ2(SteppedSplitLaw):
         """See `SteppedSplitLaw`: of the elastic strain, and of the back stress."""
         plastic = self._return(F)[1]
         elastic = ufl.dev(infinitesimal_strain(F)) - plastic
-        back = self.law.kinematic / 3 * ufl.inner(plastic, plastic)
+        back = self.law.back_slope / 3 * ufl.inner(plastic, plastic)
         return self.law.mu * ufl.inner(elastic, elastic) + back
 
     def at_end(self, F: Expr) -> dict[str, Expr]:
