@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers.damaged import DamagedRubber
+from mpi4py import MPI
 
 from dolfin_elastic import (
     Buckling,
@@ -181,7 +182,8 @@ def test_buckling_beyond_yield_is_noted(
     with caplog.at_level(logging.WARNING):
         metal = J2Logarithmic(E=1000, nu=0.0, **{"yield": limit * critical})
         assert factor(metal) == pytest.approx(critical, rel=1e-6)
-    assert ("of the volume would yield" in caplog.text) == noted
+    if MPI.COMM_WORLD.rank == 0:  # others log nothing
+        assert ("of the volume would yield" in caplog.text) == noted
 
 
 def test_at_rest_nothing_has_yielded() -> None:
