@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from pathlib import Path
+from datetime import date
 from types import SimpleNamespace
 from typing import Any, cast
 
-import pytest
 from suite.selection import _spread
-from suite.turns import commit, first_of
+from suite.turns import first_of, week
 
 
 def group(count: int) -> list[Any]:
@@ -20,7 +19,7 @@ def group(count: int) -> list[Any]:
 
 
 def test_each_parameter_has_its_turn() -> None:
-    """Over 60 commits each of 35 is among the ten several times; without one, the first ten are."""
+    """Over 60 turns each of 35 is among the ten several times; without one, the first ten are."""
     items = group(35)
     seen = dict.fromkeys(range(35), 0)
     for turn in range(60):
@@ -42,26 +41,6 @@ def test_the_choice_is_that_of_any_process() -> None:
     assert first_of("", "a.py::test", 35) == 0
 
 
-HASH = "a" * 40
-
-
-@pytest.mark.parametrize("kind", ["branch", "packed", "detached", "linked", "none"])
-def test_the_commit_is_read_without_git(kind: str, tmp_path: Path) -> None:
-    folder = tmp_path / ".git"
-    if kind == "linked":
-        folder.write_text(f"gitdir: {tmp_path}/main/.git/worktrees/w\n")
-        main = tmp_path / "main" / ".git"
-        folder = main / "worktrees" / "w"
-        (main / "refs" / "heads").mkdir(parents=True)
-        (main / "refs" / "heads" / "b").write_text(f"{HASH}\n")
-        folder.mkdir(parents=True)
-        (folder / "commondir").write_text("../..\n")
-    elif kind != "none":
-        (folder / "refs" / "heads").mkdir(parents=True)
-    if kind == "branch":
-        (folder / "refs" / "heads" / "b").write_text(f"{HASH}\n")
-    if kind == "packed":
-        (folder / "packed-refs").write_text(f"# pack-refs\n{HASH} refs/heads/b\n")
-    if kind != "none":
-        (folder / "HEAD").write_text(f"{HASH}\n" if kind == "detached" else "ref: refs/heads/b\n")
-    assert commit(tmp_path) == ("" if kind == "none" else HASH[:10])
+def test_the_turn_is_that_of_the_week() -> None:
+    assert week(date(2026, 11, 30)) == week(date(2026, 12, 6)) == "2026-W49"
+    assert week(date(2026, 12, 7)) == "2026-W50"

@@ -28,6 +28,10 @@ SIZES = {
     "extremes.c": [one for one in tangents() if one["NP"] == 0 and one["SYMMETRIC"] == 0],
     "multigrid.c": [{"DIM": dim, "MODES": 3 * dim - 3} for dim in (2, 3)],
     "patches.c": list(recoveries()),
+    "roots.c": [
+        {"NG": 3, "NW": 3, "BS": 2, "N": 1, "NQ": 1, "NN": 1},
+        {"NG": 4, "NW": 10, "BS": 3, "N": 7, "NQ": 4, "NN": 4},
+    ],
     "symmetric.c": [{"DIM": 2}, {"DIM": 3}],
     "tangent.c": list(tangents()),
     "thickness.c": [{"DIM": 2}, {"DIM": 3}],

@@ -112,6 +112,18 @@ def of_tangents(sizes: dict[str, int], lanes: int) -> Iterator[Call]:
             yield "find_upper_places", values | halved
 
 
+def of_roots(sizes: dict[str, int], lanes: int) -> Iterator[Call]:
+    z, place = sizes["N"] * sizes["NN"], sizes["BS"] * sizes["NW"]
+    for count in (1, LANES + 3):
+        values = {"kernel": 1, "count": count, "every": count, "points": sizes["NG"]}
+        values |= {"cells": RNG.permutation(count), "corners": shuffled(count, sizes["NG"])}
+        values |= {"dofs": shuffled(count, sizes["NW"]), "entries": place}
+        values |= {"packed": place + z, "first": 0, "others": 0, "known": 2, "place": place}
+        values |= {"variable": np.zeros(sizes["N"]), "rows": count * sizes["NN"]}
+        values |= {"list": np.arange(count * sizes["NN"]), "enough": [1e-9]}
+        yield "solve", values
+
+
 def of_extremes(sizes: dict[str, int], lanes: int) -> Iterator[Call]:
     values = {"count": 3, "points": sizes["NG"], "entries": sizes["DIM"] * sizes["ND"]}
     values |= {"corners": shuffled(3, sizes["NG"]), "nodes": shuffled(3, sizes["ND"])}
@@ -240,12 +252,13 @@ CALLS = {
     "extremes.c": of_extremes,
     "multigrid.c": of_multigrid,
     "patches.c": of_patches,
+    "roots.c": of_roots,
     "symmetric.c": of_symmetric,
     "tangent.c": of_tangents,
     "thickness.c": of_thickness,
     "triangles.c": of_triangles,
 }
-OF_SEVERAL = ("cells.c", "tangent.c")
+OF_SEVERAL = ("cells.c", "roots.c", "tangent.c")
 """Files that include cells.h."""
 
 
@@ -264,7 +277,7 @@ def macros(sizes: dict[str, int]) -> dict[str, int]:
 
 def text_of(file: str, sizes: dict[str, int], lanes: int) -> str:
     """A file with its sizes; what `macros` says of it is compared with its own."""
-    entries = "NQ * MODULI" if file == "tangent.c" else 1
+    entries = {"tangent.c": "NQ * MODULI", "roots.c": "NQ * N * (1 + N)"}.get(file, "1")
     header = KERNEL.format(lanes=lanes, entries=entries)
     found = "".join(f"#define {name} {size}\n" for name, size in sizes.items())
     found += read(file, {"kernel.h": header})

@@ -9,7 +9,7 @@ Where the command line names files, all of their tests run, whatever set they be
     rest (--rest)  PLENTY parameters of each       MOST parameters of each test of the files that
                    test, but the quick set and     run on n ranks; where they run on 2 and on 3,
                    what is `spare`; which ones     one test there, the next here, `long` ones on 2
-                   follows from the commit
+                   follows from the week
     all (--all)    every test                      every test and parameter of these files that is
                                                    not ENDURING, on each number of ranks that they
                                                    run on
@@ -25,7 +25,7 @@ from pathlib import Path
 import pytest
 from mpi4py import MPI
 
-from suite.turns import commit, first_of
+from suite.turns import first_of, week
 
 TESTS = Path(__file__).resolve().parent.parent
 
@@ -272,7 +272,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     group.addoption(
         "--turn",
         metavar="WORD",
-        help="which parameters of long lists the rest takes; by default the commit says so",
+        help="which parameters of long lists the rest takes; by default the week says so",
     )
     group.addoption(
         "--variants",
@@ -311,7 +311,7 @@ def alone(config: pytest.Config) -> bool:
 def pytest_cmdline_main(config: pytest.Config) -> None:
     """Spreads the tests on one rank over the cores, unless the command line says how."""
     if config.getoption("turn") is None:  # before others start, whom it is handed on to
-        config.option.turn = commit() if config.getoption("rest") else ""
+        config.option.turn = week() if config.getoption("rest") else ""
     many = whole(config) and alone(config) and 1 in asked(config)
     if many and config.getoption("numprocesses", 0) is None:
         config.option.numprocesses = len(os.sched_getaffinity(0))
