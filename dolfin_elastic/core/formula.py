@@ -399,7 +399,8 @@ class _Reader:
         are = [self.is_tensor(arg) for arg in args]
         shown = {"^": "a power", "/": "a quotient"}.get(name, f"'{name}'")
         if name in OF_TENSORS and not all(are):
-            raise self._fault(f"{name} of a number", node, f"a tensor, as in {name}(C)")
+            example = f"{name}({', '.join('CE'[: len(args)])})"
+            raise self._fault(f"{name} of a number", node, f"a tensor, as in {example}")
         if name in ("+", "-") and len(set(are)) > 1:
             raise self._fault(
                 f"{shown} between a tensor and a number", node, "a*I is a tensor, tr(A) a number"

@@ -128,7 +128,7 @@ _TINY = 1e-60
 
 
 def _norm(A: Expr) -> Expr:
-    """sqrt(A : A), whose first and second derivatives at A = 0 have a value, 0.
+    """sqrt(A : A), whose derivative at A = 0 has a value, 0.
 
     UFL derives a choice as 1*(one branch) + 0*(the other), so that none may be infinite.
     """

@@ -125,6 +125,11 @@ class RegionHistory:
         if self._found is not None:
             self._found.make = lambda: self._make_roots(F(), w, jit_options)
 
+    def renew(self) -> None:
+        """What equations at the points depend on has changed. Not collective."""
+        if self._found is not None and self._found.roots is not None:
+            self._found.roots.renew()
+
     @property
     def solves(self) -> bool:
         """There are equations at the points."""
@@ -172,9 +177,11 @@ class RegionHistory:
     @property
     def changed(self) -> bool:
         """Whether a value differs from the start by more than round-off. Not collective."""
+        memory = self.memory
+        own = memory.unknowns if isinstance(memory, ImplicitMemory) else memory.variables
         return any(
             np.any(np.abs(self.values[v.name] - v.at_start) > ROUND_OFF * max(abs(v.start), 1.0))
-            for v in self.memory.variables
+            for v in own
         )
 
     def begin_step(self, dt: float, *, passes: bool, elastic: bool = False) -> None:
@@ -188,8 +195,6 @@ class RegionHistory:
         constants |= self.memory.elastic_step() if elastic else {}
         for name, value in constants.items():
             self._step[name].value = value
-        if self._found is not None and self._found.roots is not None:
-            self._found.roots.renew()
         past = {v.name: self._past[v.name].x.array.reshape(-1, v.size) for v in self.memory.seen}
         if isinstance(self._rows, slice):
             out = {name: values[self._rows] for name, values in past.items()}
@@ -373,6 +378,8 @@ class History:
                 fades = self.long_term and part.memory.fades
                 dt = step if fades or not self.long_term else 0.0
                 part.begin_step(dt, passes=self.passes or fades, elastic=self.elastic)
+        for part in self._regions.values():  # growth may follow the time, too
+            part.renew()
 
     def choose(self, *, long_term: bool = False, elastic: bool = False) -> None:
         """Chooses the stiffness of what fades, and of what flows. Local."""

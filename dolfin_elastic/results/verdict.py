@@ -245,13 +245,22 @@ def follows_curves(case: Table) -> bool:
     return any(row.get("curve") for row in rows) or bool(_TIMED.search(values))
 
 
+def _moves(support: Table) -> bool:
+    """Whether a support prescribes a motion."""
+    given = support.get("displacement")
+    values = given if isinstance(given, list) else [given]
+    held = all(value in (None, 0, "free") for value in values)
+    return not held or bool(support.keys() & {"velocity", "rotation"})
+
+
 def unloaded(summary: Table) -> bool:
     """Whether there are loads in statics, and curves say that all of them are 0 at the end."""
     from dolfin_elastic.model.amplitude import amplitude
 
     case, load = _table(summary, "case"), _number(summary.get("load_factor"))
     plates = [row for row in _rows(case, "support", "contact") if row.keys() & {"force", "moment"}]
-    rows = [*_rows(case, "load"), *plates]
+    moved = [row for row in _rows(case, "support") if _moves(row)]
+    rows = [*_rows(case, "load"), *plates, *moved]
     try:
         return bool(rows) and all(
             row.get("curve") is not None and abs(amplitude(row["curve"]).at(load)) < UNLOADED

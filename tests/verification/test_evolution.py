@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 import ufl
 from helpers.checkpoints import through_json
+from mpi4py import MPI
 
 from dolfin_elastic import Dynamics, Energy, Problem, Statics, Support, box_body, rectangle_body
 from dolfin_elastic.case.tables import Material
@@ -25,7 +26,9 @@ from dolfin_elastic.model.point.checks import check_energy
 from dolfin_elastic.model.point.history import history
 from dolfin_elastic.model.point.steps import PointOverSteps
 from dolfin_elastic.model.point.tested import LawUnderTest
+from dolfin_elastic.model.point.ufl_to_numpy import LawAtPoints
 from dolfin_elastic.problem.state import State
+from dolfin_elastic.solvers.eigen.modal import Modal
 
 FREE = "free"
 THERE_AND_BACK = [[0, 0], [0.4, 1], [0.7, -0.4], [1, 0.2]]
@@ -157,7 +160,7 @@ def test_what_a_step_gives_at_a_point() -> None:
     turned = {**MAXWELL, "rate": {"Cv": f"-({MAXWELL['rate']['Cv']})"}}
     with pytest.raises(InputError, match="rate: dissipation: energy is won on") as caught:
         check_energy(law_of(turned))
-    assert "has `rate` a wrong sign?" in str(caught.value)
+    assert "has `rate` a wrong sign, or a tensor no determinant = 1?" in str(caught.value)
     skew = {**MAXWELL, "rate": {"Cv": "(Cbar*Cv - tr(Cbar*inv(Cv))/3*Cv)/tau"}}
     found = {f.check: f for f in history(LawUnderTest(law_of(skew)))}
     assert found["symmetric history"].verdict == "fail"
@@ -305,6 +308,29 @@ def test_in_motion(scheme: str) -> None:
     assert moved[0] == pytest.approx(moved[1], abs=1e-9 * np.abs(moved[1]).max())
 
 
+def test_regions_of_unlike_memories() -> None:
+    """A rate, equations, and an elastic region: ranks that lack one give the force of one rank."""
+    soft = {**J2, "parameters": {"mu": 1.0, "K": 2.0, "sy": 0.05, "H": 0.1}}
+    plain = {"law": "linear-elastic", "E": 1.0, "nu": 0.3}
+    laws = {name: law_of(t) for name, t in zip("abc", (MAXWELL, soft, plain), strict=True)}
+    moved = Support(on="right", displacement=[0.2, 0, 0], curve=THERE_AND_BACK)
+    found = []
+    for comm in (MPI.COMM_SELF, MPI.COMM_WORLD):
+        body = box_body(size=(3, 1, 1), cells=(3, 1, 1), comm=comm)
+        x = body.mesh.geometry.x[body.mesh.geometry.dofmap].mean(axis=1)[:, 0]
+        cells = [np.flatnonzero((x > i) & (x < i + 1)).astype(np.int32) for i in range(3)]
+        body = body.named(regions=dict(zip("abc", cells, strict=True)))
+        found.append(forces(Problem(body, laws, supports=[Support(on="left"), moved], degree=1)))
+    assert np.abs(found[0]).max() > 0.01
+    assert found[1] == pytest.approx(found[0], rel=1e-10, abs=1e-11)
+
+
+def test_an_elastic_preload_has_not_yielded() -> None:
+    """Forces on the history are not zero there, the history is."""
+    problem = held(law_of({**J2, "density": 7800.0}), 1e-4)
+    assert len(list(Modal(problem, count=1, preload=True).modes())) == 1
+
+
 def test_a_point_without_a_root_is_named() -> None:
     """dh/dt = c exp(h) (J - 1)^2 with J - 1 = t/2 has no solution beyond c t^3/12 = 1, t = 0.84."""
     table = {
@@ -442,6 +468,17 @@ def test_no_energy_is_won(name: str) -> None:
         before = point.values["dissipated_density"]
         point.commit(F, dt=dt)
         assert (point.values["dissipated_density"] >= before).all()
+
+
+def test_steps_much_longer_than_the_time_of_the_branch() -> None:
+    """Creep over years with a branch of milliseconds: the stress is that without the branch."""
+    law = law_of({**RUBBER, **LARGE, "viscous": [{"ratio": 2.0, "time": 1e-3}]})
+    point, draw = PointOverSteps(law), np.random.default_rng(1)
+    F = np.eye(3) + 0.2 * draw.uniform(-1, 1, (50, 3, 3))
+    assert point.found(F, dt=3e7).all()
+    P = point.quantity(point.law.stress(point.F))(F, dt=3e7)
+    still = LawAtPoints(law_of(RUBBER)).stress(F)
+    assert pytest.approx(still, abs=1e-8 * np.abs(still).max()) == P
 
 
 REFUSED = {

@@ -14,6 +14,7 @@ import numpy as np
 from dolfinx import fem
 from ufl.core.expr import Expr
 
+from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.jit.cell_integrals import CellExpression, Following, Loops
 from dolfin_elastic.core.jit.compile import JitOptions
 from dolfin_elastic.core.types import FloatArray, IndexArray
@@ -70,7 +71,13 @@ class PointRoots:
             np.asarray(variables, dtype=np.int32),
         )
         self._list = np.ascontiguousarray(dofmap.list)
-        self._largest, self._sized, self.lost = np.zeros(size), False, 0
+        self.lost = 0
+        if self._kernel.kernel is None or self._kernel.place_of(self._found) < 0:
+            raise InputError(
+                "the equations of a history depend on a field that is not evaluated in them",
+                where="materials",
+                expected="a field on the body's mesh, of scalars",
+            )
         self._known: tuple[FloatArray, FloatArray] | None = None  # unknowns and constants
 
     def renew(self) -> None:
@@ -87,24 +94,30 @@ class PointRoots:
             before, numbers = self._known
             if np.array_equal(before, w) and np.array_equal(numbers, constants):
                 return
-        self.lost = self._solve()
-        if self.lost and not self._sized:
-            # Where nothing was known of the size of z, points may only seem to be lost.
-            self.lost = self._solve()
-        self._sized = True
+        start, largest = self._start(), np.zeros(len(self._tables[2]))
+        self.lost = self._solve(start, np.abs(start).max(axis=0, initial=0.0), largest)
+        if self.lost:
+            # Where the size of z was not known by the start, points may only seem to be lost.
+            self.lost = self._solve(start, largest.copy(), largest)
         self._known = w.copy(), constants
 
-    def _solve(self) -> int:
-        """Solves at all points from the start; how many are lost."""
-        found, size = self._found.x.array, len(self._largest)
-        found.reshape(-1, size)[self._rows] = self._start()
+    def _solve(self, start: FloatArray, sizes: FloatArray, largest: FloatArray) -> int:
+        """Solves at all points; how many are lost.
+
+        Args:
+            start: See `PointRoots`.
+            sizes: Of each number of z.
+            largest: Receives the same of what is found.
+        """
+        found, size = self._found.x.array, len(sizes)
+        found.reshape(-1, size)[self._rows] = start
         variable = self._tables[2]
         of_variable = np.zeros(variable.max() + 1)
-        np.maximum.at(of_variable, variable, self._largest)
+        np.maximum.at(of_variable, variable, sizes)
         least = np.maximum(SMALL * of_variable, LEAST)[variable]
         place = self._kernel.place_of(self._found)
         where = (place, *self._tables, least, np.array([ENOUGH]), self._list)
-        values = (len(found) // size, found, self._inverse.x.array, self._largest)
+        values = (len(found) // size, found, self._inverse.x.array, largest)
         return self._kernel.call("solve", self._cells, *where, *values)
 
 

@@ -378,7 +378,7 @@ def _check_names(
         others = taken | {*history, *before, DT} if history else taken
         _check_name(name, others, f"parameters.{name}")
     for name in history:
-        _check_name(name, taken | {*before, DT}, f"history.{name}")
+        _check_name(name, taken | {*before, DT, user_names.SMALL}, f"history.{name}")
 
 
 def _check_name(name: str, taken: frozenset[str], where: str) -> None:
@@ -408,7 +408,9 @@ def read_energy(table: Mapping[str, object]) -> FormulaEnergy:
             expected='add volumetric = "quadratic", "log" or "simo-taylor", or put K into '
             "parameters",
         )
-    if not _SMALL.search(str(table.get("energy"))):
+    own = table.get("parameters")
+    named = isinstance(own, Mapping) and user_names.SMALL in own
+    if named or not _SMALL.search(str(table.get("energy"))):
         return (SplitFormulaEnergy if split else FormulaEnergy)(**table)
     if split:
         raise InputError(

@@ -541,7 +541,10 @@ class LargeRelaxed(ImplicitStep, RelaxedShape):
             U, before, old = now[STRETCH.name], self.past[STRETCH.name], self.step["old"]
             one = unimodular(U)
             flow = one * self._mandel(F * ufl.inv(one)) * one / self._mu
-            return {STRETCH.name: old * (U * U - before * before) - (1 - old) * flow}
+            # The projection makes no difference between multiples of U: of the longest steps the
+            # last term alone says which one the root is.
+            grown = (1 - old) * (ufl.det(U) - 1) * U * U
+            return {STRETCH.name: old * (U * U - before * before) - (1 - old) * flow + grown}
 
         return residual
 

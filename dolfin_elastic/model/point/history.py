@@ -32,6 +32,12 @@ _TINY = 1e-12
 """In place of the stiffness: of a history nobody knows the unit."""
 _PATHS, _LONG = 1000, 6
 """Random paths, and steps of each, on which nothing may be won."""
+_DIGITS = 1e-14
+"""Of the stored energy: what a step dissipates is not known better."""
+_LENGTHS = np.logspace(-6, 12, 10)
+"""Lengths of steps at which the tangent is looked at [s]: of one of them the history changes."""
+_CHANGED = 1e-3
+"""Relative change of a history that counts as one."""
 _STRAINED = 0.3
 """Size of the gradients of displacement on these paths."""
 _FASTEST, _SLOWEST = -4.0, 2.0
@@ -49,6 +55,7 @@ class _Steps(PointOverSteps):
         self.start, self._names = dict(self.values), tuple(law.history)
         self.lengths = _STEPS if law.timed else _STEPS[:1]
         self._stress = self.quantity(self.law.stress(self.F))
+        self._energy = self.quantity(self.law.energy(self.F))
 
     def after(self, F: AnyArray, values: Values, dt: float) -> dict[str, FloatArray]:
         """The history after a step; NaN where its equations have no root."""
@@ -63,6 +70,10 @@ class _Steps(PointOverSteps):
         """Those of the user's own history after a step, shape (n, m)."""
         end = self.after(F, values, dt)
         return np.hstack([end[name] for name in self._names])
+
+    def energy(self, F: AnyArray, dt: float) -> FloatArray:
+        """What is stored at the end of a step from `values` [J/m^3], shape (n,)."""
+        return self._energy(F, dt=dt)
 
     def stress(self, F: AnyArray, values: Values, dt: float) -> FloatArray:
         """P at the end of a step [Pa], shape (n, 3, 3); NaN where its equations have no root."""
@@ -98,6 +109,13 @@ def history(tested: LawUnderTest) -> Iterator[Finding]:
         if not np.isfinite(steps.numbers(near, steps.start, dt)).all():
             what = "its equations have no root that is found" if law.evolves else "not finite"
             text = f"{what} at rest or at strains of a few per cent, with dt = {dt:g} s"
+            if law.evolves and not np.isfinite(_at_rest(steps, dt)).all():
+                text = (
+                    f"its equations or their derivatives are not finite at rest, with dt = {dt:g} "
+                    "s: of sqrt(inner(A, A)) write norm(A), whose derivative at 0 has a value"
+                )
+            elif law.by_rate:
+                text += ": is `rate` too fast, or its sign wrong?"
             yield found("finite history", False, text)
             return
     yield found("finite history", True, "finite near the rest")
@@ -108,11 +126,17 @@ def history(tested: LawUnderTest) -> Iterator[Finding]:
     yield found("symmetric history", skew <= 1e3 * ROUND_OFF, f"asymmetry {skew:.2g}", error=skew)
     if law.evolves:
         yield from _dissipation(law, steps)
-        yield from _symmetry(tested, steps)
+        yield from _symmetry(tested, law, steps)
     if change := changes_at_rest(law):
         yield note("history at rest", change)
     else:
         yield found("history at rest", True, "does not change")
+
+
+def _at_rest(steps: _Steps, dt: float) -> FloatArray:
+    """Equations of a body at rest, and their derivatives."""
+    steps.values = dict(steps.start)
+    return steps.equations(I[None], dt=dt)
 
 
 def _turned(tested: LawUnderTest, law: Remembering, steps: _Steps) -> Iterator[Finding]:
@@ -169,7 +193,8 @@ def _dissipation(law: Remembering, steps: _Steps) -> Iterator[Finding]:
         good &= np.isfinite(np.hstack([*end.values()])).all(axis=1)
         change = (end[LOST.name] - values[LOST.name])[:, 0]
         most = max(most, float(np.abs(change[good]).max(initial=0.0)))
-        negative |= good & (change < -ROUND_OFF * most)
+        stored = float(np.abs(steps.energy(F, dt)[good]).max(initial=0.0))
+        negative |= good & (change < -max(ROUND_OFF * most, _DIGITS * stored))
         values = {name: np.where(good[:, None], value, values[name]) for name, value in end.items()}
     wins = float(negative.mean())
     key = "rate" if law.by_rate else "residual"
@@ -177,7 +202,7 @@ def _dissipation(law: Remembering, steps: _Steps) -> Iterator[Finding]:
         text = (
             f"energy is won on {percent(wins)} of {_PATHS} random paths: -dpsi/dx dx/dt < 0; has "
         )
-        text += f"`{key}` a wrong sign?"
+        text += f"`{key}` a wrong sign, or a tensor no determinant = 1?"
     else:
         text = f"not negative on {_PATHS} random paths"
     yield found("dissipation", not wins, text, fraction=wins)
@@ -191,15 +216,30 @@ def _dissipation(law: Remembering, steps: _Steps) -> Iterator[Finding]:
         )
 
 
-def _symmetry(tested: LawUnderTest, steps: _Steps) -> Iterator[Finding]:
-    """Whether the tangent of a step is symmetric, in bodies that were strained before."""
-    F = tested.near
-    steps.values = steps.after(F[::-1], steps.start, 1.0)
+def _symmetry(tested: LawUnderTest, law: Remembering, steps: _Steps) -> Iterator[Finding]:
+    """Whether the tangent of a step is symmetric, in bodies that were strained before.
+
+    Where no step changes the history nothing is known of it, which is said as not symmetric.
+    """
     H, variable = variables(steps.F)
-    A = steps.quantity(ufl.diff(steps.law.stress(variable), H))(F, dt=1.0)
-    skew = relative(A, A.transpose(0, 3, 4, 1, 2), tested.scale)
-    symmetric = skew < ROUND_OFF
-    text = f"asymmetry {skew:.2g}"
+    tangent = steps.quantity(ufl.diff(steps.law.stress(variable), H))
+    draw, skew, changed = np.random.default_rng(10), 0.0, 0.0
+    for dt in map(float, _LENGTHS if steps.lengths[1:] else _LENGTHS[:3]):
+        some = I + _STRAINED * draw.uniform(-1, 1, (6, 3, 3)) / np.sqrt(3)
+        F = np.concatenate([tested.near, some])
+        before = steps.after(F[::-1], steps.start, dt)
+        end, A = steps.after(F, before, dt), tangent(F, dt=dt)
+        good = np.isfinite(A).all(axis=(1, 2, 3, 4))
+        good &= np.isfinite(np.hstack([*end.values()])).all(axis=1)
+        if good.any():
+            skew = max(skew, relative(A[good], A[good].transpose(0, 3, 4, 1, 2), tested.scale))
+            moved = [np.abs(end[v] - before[v])[good].max() for v in law.history]
+            sizes = [np.abs(end[v][good]).max() for v in law.history]
+            changed = max(
+                changed, *(a / b for a, b in zip(moved, sizes, strict=True) if b > 0), 0.0
+            )
+    symmetric = skew < ROUND_OFF and changed > _CHANGED
+    text = f"asymmetry {skew:.2g}" if changed > _CHANGED else "unknown: no step changes the history"
     if not symmetric:
         text += ": systems of equations take more memory, and longer"
     yield note(SYMMETRY, text, error=skew, symmetric=symmetric)

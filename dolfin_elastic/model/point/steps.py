@@ -28,8 +28,8 @@ ENOUGH = 1e-11
 """Last step of Newton's method, over the size of z."""
 SMALLEST = 1e-4
 """Share of a step of Newton's method below which there is no root."""
-LEAST = 1e-3
-"""Of strains: below it the size of z does not count."""
+SMALL, LEAST = 1e-3, 1e-6
+"""See `core.jit.point_roots`."""
 
 Quantity = Callable[..., FloatArray]
 """Function of values of the point's symbols, shape (n, ...), and of the step's length `dt` [s]."""
@@ -105,6 +105,13 @@ class PointOverSteps:
         assert isinstance(self.law, ImplicitStep)
         return self._program(self.law.root.to_solve(self.law.equations(self.F)))
 
+    def equations(self, *at: FloatArray, dt: float) -> FloatArray:
+        """r and dr/dz at the start of a step, shape (n, m)."""
+        assert isinstance(self._memory, ImplicitMemory)
+        z = np.hstack([self.values[v.name] for v in self._memory.unknowns])
+        none = np.zeros((1, z.shape[1] ** 2))
+        return np.asarray(self._equations(*at, *self._known(dt), z, none))
+
     def _root(self, at: Sequence[FloatArray], dt: float) -> tuple[list[FloatArray], BoolArray]:
         """z and the inverse of dr/dz, nothing without equations; and where they were found."""
         if not isinstance(self._memory, ImplicitMemory):
@@ -114,7 +121,7 @@ class PointOverSteps:
         size = start.shape[1]
         z = np.array(np.broadcast_to(start, (n, size)))
         none = np.zeros((1, size**2))
-        points = _Newton(z)
+        points = _Newton(z, [v.size for v in self._memory.unknowns])
         for _ in range(MOST):
             k = np.flatnonzero(points.going).astype(np.int32)
             if not len(k):
@@ -147,10 +154,12 @@ class _Newton:
 
     Args:
         z: Where it starts, shape (n, size); changed.
+        sizes: How many numbers each variable has: each counts by its own size.
     """
 
-    def __init__(self, z: FloatArray) -> None:
+    def __init__(self, z: FloatArray, sizes: Sequence[int]) -> None:
         n, size = z.shape
+        self._columns = np.split(np.arange(size), np.cumsum(sizes)[:-1])
         self.z, self._before, self._step = z, z.copy(), np.zeros_like(z)
         self.inverse = np.zeros((n, size, size))
         self._share, self._length = np.ones(n), np.full(n, np.inf)
@@ -160,7 +169,7 @@ class _Newton:
         """Takes r and dr/dz at z of points k, a row each."""
         size = self.z.shape[1]
         r, J = values[:, :size], values[:, size:].reshape(-1, size, size)
-        trial = _measured(np.einsum("nij,nj->ni", self.inverse[k], r), self._before[k])
+        trial = self._measured(np.einsum("nij,nj->ni", self.inverse[k], r), self._before[k])
         length = self._length[k]
         worse = np.isfinite(length) & ~(trial < length) & (length > ENOUGH)
         back = k[worse]
@@ -175,11 +184,16 @@ class _Newton:
         self.inverse[on] = np.linalg.inv(J[good])
         self._step[on] = -np.einsum("nij,nj->ni", self.inverse[on], r)
         self._before[on], self._share[on] = self.z[on], 1.0
-        self._length[on] = _measured(self._step[on], self.z[on])
+        self._length[on] = self._measured(self._step[on], self.z[on])
         self.z[on] += self._step[on]
         self.found[on] = self._length[on] <= ENOUGH
         self.going[on] = np.isfinite(self._length[on]) & ~self.found[on]
 
-
-def _measured(step: FloatArray, z: FloatArray) -> FloatArray:
-    return np.asarray(np.linalg.norm(step, axis=1) / (np.linalg.norm(z, axis=1) + LEAST))
+    def _measured(self, step: FloatArray, z: FloatArray) -> FloatArray:
+        """Largest change of a variable over its size, shape (n,)."""
+        ratios = []
+        for columns in self._columns:
+            sizes = np.linalg.norm(z[:, columns], axis=1)
+            least = max(SMALL * float(np.nan_to_num(sizes).max(initial=0.0)), LEAST)
+            ratios.append(np.linalg.norm(step[:, columns], axis=1) / (sizes + least))
+        return np.asarray(np.max(ratios, axis=0))

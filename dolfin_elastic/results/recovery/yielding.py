@@ -48,7 +48,7 @@ class YieldLimit:
 
     def __call__(self, cells: IndexArray) -> FloatArray:
         """Its values, shape (cells, points). Not collective."""
-        return np.asarray(self._kernel.eval(cells).reshape(len(cells), -1))
+        return np.asarray(self._kernel.eval(cells).reshape(len(cells), self._kernel.size))
 
 
 def bounded(stress: FloatArray, von_mises: FloatArray, most: FloatArray) -> FloatArray:

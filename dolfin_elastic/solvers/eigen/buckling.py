@@ -59,6 +59,8 @@ from dolfin_elastic.solvers.statics.settings import StaticsSettings
 
 log = logging.getLogger("dolfin_elastic")
 
+LEAST_PART = 1e-6
+"""Of the volume: more has yielded only where there is more than round-off."""
 STEP = 1e-5
 """Displacement over the size of a cell across which the stress is differentiated.
 
@@ -189,11 +191,12 @@ class Buckling(PreloadedAnalysis):
         elastic, base = history.elastic, w.copy()
         nearest = min((p.value for p in pairs), key=lambda value: abs(value - share))
         history.choose(long_term=history.long_term)
+        before = history.results()["yielded_fraction"]
         w[:] = base + (nearest - share) * perturbation.along
-        part = history.results()["yielded_fraction"]
+        part = history.results()["yielded_fraction"] - before
         w[:] = base
         history.choose(long_term=history.long_term, elastic=elastic)
-        if part > 0.0:
+        if part > LEAST_PART:
             log.warning(
                 "at load factor %.6g %.2g %% of the volume would yield: the body buckles or "
                 'collapses earlier than its elastic stiffness says; statics.method = "arc-length" '
