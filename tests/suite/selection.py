@@ -221,6 +221,7 @@ SHARED = {
     "solvers/statics/test_statics.py",
     "verification/test_patch.py",
     "verification/test_rank_agreement.py",
+    "verification/test_evolution.py",
     "verification/test_own_history.py",
     "verification/test_plasticity.py",
     "verification/test_relaxation.py",

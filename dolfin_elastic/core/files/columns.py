@@ -104,9 +104,10 @@ def read_csv(path: Path) -> CsvTable:
     numbers, reader = [*lines], csv.reader(lines.values(), delimiter=mark, quoting=csv.QUOTE_NONE)
     try:
         rows = [(numbers[reader.line_num - 1], [cell.strip() for cell in row]) for row in reader]
-    except csv.Error as error:
-        where = f"line {numbers[min(reader.line_num, len(numbers)) - 1]}"
-        raise InputError(f"{where}: {error}", expected="numbers, with separators between") from None
+    except csv.Error:  # a cell of more than 100,000 characters
+        raise InputError(
+            "this is no text file that can be read", expected="columns of numbers, saved in UTF-8"
+        ) from None
     if not rows or len(rows[0][1]) < 2:
         raise InputError("a table needs two columns", expected="for example a line 0.1, 2.5")
     cell = rows[0][1][0]

@@ -43,7 +43,7 @@ class YieldLimit:
         assert isinstance(law, Plastic)
         assert over_step is not None
         strain = ufl.max_value(over_step.past[PLASTIC_STRAIN.name], 0.0)
-        limit = law.flow.stress(strain) + law.kinematic * strain
+        limit = law.flow.stress(strain) + law.back_slope * strain
         self._kernel = CellExpression(ufl.as_vector([limit]), points, w, problem.jit)
 
     def __call__(self, cells: IndexArray) -> FloatArray:
