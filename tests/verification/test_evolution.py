@@ -17,7 +17,16 @@ import ufl
 from helpers.checkpoints import through_json
 from mpi4py import MPI
 
-from dolfin_elastic import Dynamics, Energy, Problem, Statics, Support, box_body, rectangle_body
+from dolfin_elastic import (
+    Dynamics,
+    Energy,
+    Problem,
+    Statics,
+    Support,
+    Traction,
+    box_body,
+    rectangle_body,
+)
 from dolfin_elastic.case.tables import Material
 from dolfin_elastic.core.errors import ConvergenceError, InputError
 from dolfin_elastic.model.kinematics import variables
@@ -271,6 +280,33 @@ def test_a_stretch_that_is_held_relaxes() -> None:
     x = [(f - lasting) / (found[1] - lasting) for f in found[1:]]
     assert x == pytest.approx([(1 + 0.1 / TAU) ** -n for n in range(len(x))], rel=1e-8)
     assert x[-1] == pytest.approx(exp(-1 / TAU), rel=0.25)
+
+
+NORTON: dict[str, Any] = {
+    "energy": "K/2*tr(eps)^2 + mu*inner(dev(eps) - ep, dev(eps) - ep)",
+    "history": {"ep": "0"},
+    "rate": {"ep": "3*mu*A/s0*(sqrt(6)*mu*norm(dev(eps) - ep)/s0)^(n - 1)*(dev(eps) - ep)"},
+    "parameters": {"mu": 60e9, "K": 130e9, "A": "1e-9 1/s", "s0": "100 MPa", "n": 5},
+}
+
+
+def test_creep_of_a_bar() -> None:
+    """Norton's law at a constant stress s, from rest at once: s/E + A (s/s0)^n t, at any step."""
+    stress, young = 80e6, 9 * 60e9 * 130e9 / (3 * 130e9 + 60e9)
+    rollers = [
+        Support(on=on, displacement=[0 if i == j else FREE for j in range(3)])
+        for i, on in enumerate(("left", "front", "bottom"))
+    ]
+    pulled = Traction(on="right", value=[stress, 0, 0], curve=[[0, 1], [3600, 1]])
+    body = box_body(size=(1, 1, 1), cells=(1, 1, 1))
+    problem = Problem(body, law_of(NORTON), supports=rollers, loads=[pulled], degree=1)
+    for state in Statics(problem, end=3600, steps=4, rtol=1e-13).steps():
+        if not state.step:
+            continue
+        expected = stress / young + 1e-9 * 0.8**5 * state.t
+        moved = float(state.u.x.array.reshape(-1, 3)[:, 0].max(initial=0.0))
+        found = MPI.COMM_WORLD.allreduce(moved, op=MPI.MAX)
+        assert found == pytest.approx(expected, rel=1e-9)
 
 
 def test_a_run_goes_on() -> None:
