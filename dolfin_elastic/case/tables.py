@@ -6,6 +6,7 @@ An error names the key inside its table; the caller that reads the table puts it
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Annotated, Any, Self, TypeVar
 
@@ -62,6 +63,10 @@ Reference = str | Point
 """A point of reference of a moment, see `check_reference`."""
 
 
+_SLIP = 0.8
+"""Likeness from which on a key is a slip of the pen."""
+
+
 class Material(Record):
     """A table [materials.NAME]: a law with its constants, and where it holds.
 
@@ -112,6 +117,13 @@ def _law_named(table: Mapping[str, object]) -> type[Law]:
     except InputError as error:
         name = table.get("law")
         if name is None:
+            for key in table:
+                if near := get_close_matches(str(key), ("law", "energy", "material"), 1, _SLIP):
+                    raise InputError(
+                        f"unknown key '{key}'",
+                        where=str(key),
+                        expected=f"did you mean '{near[0]}'?",
+                    ) from None
             hint = 'or write material = "steel S235" for one of the library'
         elif isinstance(name, str) and (known := containing(name, library())):
             hint = f'a material of the library is material = "..."; {known}'

@@ -32,7 +32,7 @@ from dolfin_elastic.core.errors import ConvergenceError, InputError
 from dolfin_elastic.model.kinematics import variables
 from dolfin_elastic.model.materials.stepped import SteppedSplitLaw
 from dolfin_elastic.model.point.checks import check_energy
-from dolfin_elastic.model.point.history import history
+from dolfin_elastic.model.point.history import error_of_rates, history
 from dolfin_elastic.model.point.steps import PointOverSteps
 from dolfin_elastic.model.point.tested import LawUnderTest
 from dolfin_elastic.model.point.ufl_to_numpy import LawAtPoints
@@ -282,12 +282,26 @@ def test_a_stretch_that_is_held_relaxes() -> None:
     assert x[-1] == pytest.approx(exp(-1 / TAU), rel=0.25)
 
 
+SHEARED = {**MAXWELL["parameters"], "K": 1e-3}
+"""Nearly without a stress of the volume."""
 NORTON: dict[str, Any] = {
     "energy": "K/2*tr(eps)^2 + mu*inner(dev(eps) - ep, dev(eps) - ep)",
     "history": {"ep": "0"},
     "rate": {"ep": "3*mu*A/s0*(sqrt(6)*mu*norm(dev(eps) - ep)/s0)^(n - 1)*(dev(eps) - ep)"},
     "parameters": {"mu": 60e9, "K": 130e9, "A": "1e-9 1/s", "s0": "100 MPa", "n": 5},
 }
+
+
+def test_long_steps_of_a_rate_are_noted() -> None:
+    """The estimate is the error of the branch in a ramp over one step."""
+    for x in (0.01, 0.1):
+        # of the branch over the ramp's stress: 1/(1 + x) by backward Euler, (1 - exp(-x))/x right
+        branch = 1 / (1 + x) - (1 - exp(-x)) / x
+        whole = 1 + 2 * (1 - exp(-x)) / x  # mu0 = 1, mu1 = 2
+        found = error_of_rates(law_of({**MAXWELL, "parameters": SHEARED}))(x * TAU)
+        assert found == pytest.approx(abs(2 * branch) / whole, rel=0.1)
+    assert error_of_rates(law_of(J2))(1.0) == 0.0
+    assert error_of_rates(law_of(NORTON))(900.0) < 1e-5
 
 
 def test_creep_of_a_bar() -> None:
@@ -403,6 +417,10 @@ WRONG = {
     "old": ({"parameters": {"Cv_old": 1.0}}, "parameters.Cv_old: the name 'Cv_old' is in use"),
     "both": ({"next": {"Cv": "Cv"}}, "rate: `next` beside `rate`"),
     "no history": ({"history": None}, "history: `rate` without a history"),
+    "slip": (
+        {"energy": None, "energi": "J"},
+        "energi: unknown key 'energi'; did you mean 'energy'?",
+    ),
     "determinant": (
         {"history": {"Cv": {"start": "0", "determinant": 1}}},
         "history.Cv: {'start': '0', 'determinant': 1} is no start of a history",

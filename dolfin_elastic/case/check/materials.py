@@ -60,6 +60,8 @@ def _relaxing(case: Case) -> Iterator[str]:
 
 _ERROR = 0.01
 """Of the stress, from which on the size of time steps is worth a note."""
+_FINEST = 1e-6
+"""Of a step: finer ones are not looked for."""
 
 
 def step_notes(case: Case) -> Iterator[str]:
@@ -77,6 +79,27 @@ def step_notes(case: Case) -> Iterator[str]:
             f"{quantity(shortest, 's')}: where the strain changes as fast, the stress is off by "
             f"about {percent(error)}; steps of {quantity(finer, 's')} keep it below "
             f"{percent(_ERROR)}"
+        )
+    yield from _notes_of_rates(case, dt)
+
+
+def _notes_of_rates(case: Case, dt: float) -> Iterator[str]:
+    for name, material in case.materials.items():
+        law = material.law
+        if law.memory is None or not law.written or law.spatial_constants():
+            continue
+        from dolfin_elastic.model.point.history import error_of_rates
+
+        error_of = error_of_rates(law)
+        if (error := error_of(dt)) <= _ERROR:
+            continue
+        finer = dt / 2
+        while error_of(finer) > _ERROR and finer > _FINEST * dt:
+            finer /= 2
+        yield (
+            f"materials.{key_text(name)}.rate: the stress of a small strain that grows within a "
+            f"step of {quantity(dt, 's')} is off by about {percent(error)}; steps of "
+            f"{quantity(finer, 's')} keep it below {percent(_ERROR)}"
         )
 
 

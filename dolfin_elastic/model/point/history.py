@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import TypeAlias
 
 import numpy as np
@@ -243,3 +243,27 @@ def _symmetry(tested: LawUnderTest, law: Remembering, steps: _Steps) -> Iterator
     if not symmetric:
         text += ": systems of equations take more memory, and longer"
     yield note(SYMMETRY, text, error=skew, symmetric=symmetric)
+
+
+_SMALL_STRAIN = 1e-4
+"""At which viscous flow is linear, and metals creep no more than they do slowly."""
+
+
+def error_of_rates(law: Law) -> Callable[[float], float]:
+    """Error of the stress of a small strain that grows linearly within a step, of its length [s].
+
+    Over the stress; by Richardson's extrapolation from one step and two of half the length, of
+    backward Euler, whose error is proportional to the length.  0 where no rate is integrated.
+    """
+    if not isinstance(law, Remembering) or not law.by_rate:
+        return lambda dt: 0.0
+    steps, strain = _Steps(law), np.diag([1.0, -0.4, -0.3]) + 0.5 * np.eye(3, k=1)
+    end, half = ((I + share * _SMALL_STRAIN * strain)[None] for share in (1, 0.5))
+
+    def error(dt: float) -> float:
+        whole = steps.stress(end, steps.start, dt)
+        halves = steps.stress(end, steps.after(half, steps.start, dt / 2), dt / 2)
+        found = 2 * np.abs(whole - halves).max() / np.abs(2 * halves - whole).max()
+        return float(found) if np.isfinite(found) else 0.0
+
+    return error
