@@ -54,8 +54,14 @@ class CellStress:
             j: Column, from 0.
         """
         self.select(i, j)
+        self.follow()
         own = float(fem.assemble_scalar(self._form))
         return float(total(self.problem.body.comm, own)) / self.cell.volume
+
+    def follow(self) -> None:
+        """Solves what materials determine at points, at the present state. Collective."""
+        if self.problem.history is not None:
+            self.problem.history.follow()
 
     def stress(self) -> FloatArray:
         """Mean of P over the cell, dim x dim [Pa]. Collective."""

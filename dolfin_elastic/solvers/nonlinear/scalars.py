@@ -62,6 +62,7 @@ class FreeStrains(ScalarUnknowns):
     def rows(self, forces: OutOfBalance) -> list[FloatArray]:
         """Its derivative with respect to the fields."""
         self._measure_stiffness()
+        self._mean.follow()
         result: list[FloatArray] = []
         for ij in self._free:
             self._mean.select(*ij)

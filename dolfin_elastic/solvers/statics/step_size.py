@@ -114,8 +114,6 @@ class StepSizes:
         Args:
             step: Load factor at its end minus that where it began.
         """
-        if newton >= MANY_ITERATIONS and self._steady:
-            return
         if newton >= MANY_ITERATIONS:
             self._avoid(step)
             self.size = max(self._smallest, step / 2)
