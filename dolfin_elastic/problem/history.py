@@ -596,7 +596,8 @@ class History:
         if settle:
             before, self._heat = self._heat, self._sum("lost")
             self.uncertainty += abs(self._sum("missed"))
-            if self.yields:
+            # Linear branches tell exactly what the trapezoidal rule misses.
+            if not all(part.memory.told for part in self._regions.values()):
                 self.uncertainty += OF_A_STEP * max(self._heat - before, 0.0)
 
     # --- restarts ---
