@@ -71,8 +71,8 @@ class PointRoots:
             np.asarray(variables, dtype=np.int32),
         )
         self._list = np.ascontiguousarray(dofmap.list)
-        self.lost = 0
-        if self._kernel.kernel is None or self._kernel.place_of(self._found) < 0:
+        self.lost, self._place = 0, self._kernel.place_of(self._found)
+        if self._kernel.kernel is None or self._place < 0:
             raise InputError(
                 "the equations of a history depend on a field that is not evaluated in them",
                 where="materials",
@@ -115,8 +115,7 @@ class PointRoots:
         of_variable = np.zeros(variable.max() + 1)
         np.maximum.at(of_variable, variable, sizes)
         least = np.maximum(SMALL * of_variable, LEAST)[variable]
-        place = self._kernel.place_of(self._found)
-        where = (place, *self._tables, least, np.array([ENOUGH]), self._list)
+        where = (self._place, *self._tables, least, np.array([ENOUGH]), self._list)
         values = (len(found) // size, found, self._inverse.x.array, largest)
         return self._kernel.call("solve", self._cells, *where, *values)
 

@@ -259,6 +259,12 @@ class ImplicitMemory(Memory):
 
     unknowns: tuple[Variable, ...]
 
+    def over_step(self, past: Mapping[str, Expr], step: Mapping[str, Expr]) -> ImplicitStep:
+        """See `Memory`: a step in which the unknowns stay as they are, as in a sudden one."""
+        size = sum(v.size for v in self.unknowns)
+        found = in_a_row(self.unknowns, past)
+        return self.with_root(past, step, Root(self.unknowns, found, ufl.zero(size * size)))
+
     @abstractmethod
     def with_root(
         self, past: Mapping[str, Expr], step: Mapping[str, Expr], root: Root
@@ -267,9 +273,20 @@ class ImplicitMemory(Memory):
 
 
 class ImplicitStep(OverStep):
-    """What a law over a step gives whose unknowns equations determine."""
+    """What a law over a step gives whose unknowns equations determine, and whose energy is stored.
+
+    Its `at_end` is that of `with_dissipation`.
+    """
 
     root: Root
+
+    def branch_stress(self, F: Expr) -> Expr | None:
+        """See `OverStep`: none, the energy is what is stored."""
+        return None
+
+    def lost(self, F: Expr) -> Expr | None:
+        """See `OverStep`."""
+        return self.at_end(F)[LOST.name]
 
     @abstractmethod
     def equations(self, F: Expr) -> Equations:

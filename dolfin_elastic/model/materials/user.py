@@ -340,8 +340,8 @@ class FormulaEnergy(UserEnergy):
 class SmallStrainEnergy(FormulaEnergy):
     """A formula of the infinitesimal strain eps, with a history, for small strains and rotations.
 
-    energy = "K/2*tr(eps)^2 + mu*inner(dev(eps) - ep, dev(eps) - ep)"
-    history = {ep = "0"}
+    For example energy = "K/2*tr(eps)^2 + mu*inner(dev(eps) - ep, dev(eps) - ep)", with
+    history = {ep = "0"}.
     """
 
     linear: ClassVar[bool] = True

@@ -45,7 +45,6 @@ from dolfin_elastic.model.kinematics import (
 )
 from dolfin_elastic.model.materials.law import Law, SplitLaw, once
 from dolfin_elastic.model.materials.memory import (
-    LOST,
     Equations,
     ImplicitMemory,
     ImplicitStep,
@@ -53,7 +52,6 @@ from dolfin_elastic.model.materials.memory import (
     Root,
     Values,
     Variable,
-    in_a_row,
     of_dissipation,
     unimodular,
     with_dissipation,
@@ -219,7 +217,7 @@ class RelaxedShape(Relaxed):
 
 
 @dataclass(frozen=True)
-class RelaxedSplit(RelaxedShape, SteppedSplitLaw):
+class RelaxedSplit(SteppedSplitLaw, RelaxedShape):
     """The same of a law with a volumetric part, which remembers nothing."""
 
     @property
@@ -242,14 +240,6 @@ class RelaxedSplit(RelaxedShape, SteppedSplitLaw):
     def shape_energy(self, F: Expr) -> Expr:
         """See `SteppedLaw`, after a long time: what no branch can lose."""
         return self._stored(F) + (self.step["lasting"] - 1) * self.relaxing_energy(F)
-
-    def energy(self, F: Expr) -> Expr:
-        """See `SteppedSplitLaw`."""
-        return SteppedSplitLaw.energy(self, F)
-
-    def stress(self, F: Expr) -> Expr:
-        """See `SteppedSplitLaw`."""
-        return SteppedSplitLaw.stress(self, F)
 
 
 class Relaxation(Memory):
@@ -279,8 +269,9 @@ class Relaxation(Memory):
         law = self._law
         if law.relaxes_whole:
             return Relaxed(law, past, step)
-        kind = RelaxedSplit if isinstance(law, SplitLaw) else RelaxedShape
-        return kind(law, past, step)
+        if isinstance(law, SplitLaw):
+            return RelaxedSplit(law, past, step)
+        return RelaxedShape(law, past, step)
 
     def step(self, dt: float, *, passes: bool) -> dict[str, float]:
         """See `Memory`."""
@@ -490,17 +481,13 @@ class LargeRelaxation(ImplicitMemory):
         self._law = law
         (self._ratio,), (self._time,) = law.series
 
-    def over_step(self, past: Mapping[str, Expr], step: Mapping[str, Expr]) -> LargeRelaxed:
-        """See `Memory`: a sudden one."""
-        found = in_a_row(self.unknowns, past)
-        return self.with_root(past, step, Root(self.unknowns, found, ufl.zero(STRETCH.size**2)))
-
     def with_root(
         self, past: Mapping[str, Expr], step: Mapping[str, Expr], root: Root
     ) -> LargeRelaxed:
         """See `ImplicitMemory`."""
-        kind = LargeRelaxedSplit if isinstance(self._law, SplitLaw) else LargeRelaxed
-        return kind(self._law, past, step, root)
+        if isinstance(self._law, SplitLaw):
+            return LargeRelaxedSplit(self._law, past, step, root)
+        return LargeRelaxed(self._law, past, step, root)
 
     def step(self, dt: float, *, passes: bool) -> dict[str, float]:
         """See `Memory`; "old" is 1/(1 + dt/time), and "left" the ratio, 0 after a long time."""
@@ -550,24 +537,20 @@ class LargeRelaxed(ImplicitStep, RelaxedShape):
 
     def _mandel(self, Fe: Expr) -> Expr:
         """dev M of the law without the ratio [Pa]."""
-        return ufl.dev(ufl.sym(Fe.T * self._spring(Fe)))
-
-    def _spring(self, Fe: Expr) -> Expr:
-        """Isochoric stress of the law [Pa]."""
-        return self.isochoric_stress(Fe)
+        return ufl.dev(ufl.sym(Fe.T * self.isochoric_stress(Fe)))
 
     @once
     def _branch(self, F: Expr) -> Expr:
         """The branch's stress over the ratio [Pa], at the end of the step."""
         U, Fe = self._now(F)
-        return self._spring(Fe) * ufl.inv(U)
+        return self.isochoric_stress(Fe) * ufl.inv(U)
 
     @once
     def _beside(self, F: Expr) -> Expr:
         """By how much the stress differs from the law's [Pa]."""
         if self.law.lasting == 1.0:
             return self.step["left"] * self._branch(F)
-        change = (self.step["lasting"] - 1) * self._spring(F)  # before Fe, see `once`
+        change = (self.step["lasting"] - 1) * self.isochoric_stress(F)  # before Fe, see `once`
         return change + self.step["left"] * self._branch(F)
 
     @once
@@ -584,10 +567,6 @@ class LargeRelaxed(ImplicitStep, RelaxedShape):
         """See `SteppedLaw`: with what the branch stores."""
         return self.law.energy(F) + self._stored_beside(F)
 
-    def branch_stress(self, F: Expr) -> Expr | None:
-        """See `OverStep`: none, what is stored is known."""
-        return None
-
     @once
     def at_end(self, F: Expr) -> dict[str, Expr]:
         """See `OverStep`."""
@@ -598,13 +577,9 @@ class LargeRelaxed(ImplicitStep, RelaxedShape):
 
         return with_dissipation(self.root, {STRETCH.name: self._now(F)[0]}, self.past, energy)
 
-    def lost(self, F: Expr) -> Expr:
-        """See `OverStep`."""
-        return self.at_end(F)[LOST.name]
-
 
 @dataclass(frozen=True)
-class LargeRelaxedSplit(LargeRelaxed, RelaxedSplit):
+class LargeRelaxedSplit(RelaxedSplit, LargeRelaxed):
     """The same of a law with a volumetric part, which remembers nothing."""
 
     @once
@@ -616,12 +591,3 @@ class LargeRelaxedSplit(LargeRelaxed, RelaxedSplit):
     def shape_energy(self, F: Expr) -> Expr:
         """See `SplitLaw`: with what the branch stores."""
         return self._stored(F) + self._stored_beside(F)
-
-    def energy(self, F: Expr) -> Expr:
-        """See `SteppedSplitLaw`."""
-        return SteppedSplitLaw.energy(self, F)
-
-    @once
-    def stress(self, F: Expr) -> Expr:
-        """See `SteppedSplitLaw`."""
-        return SteppedSplitLaw.stress(self, F)

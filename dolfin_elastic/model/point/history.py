@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
-from typing import TypeAlias
+from collections.abc import Callable, Iterator
 
 import numpy as np
 import ufl
@@ -12,7 +11,7 @@ from dolfin_elastic.core.si_text import percent, quantity
 from dolfin_elastic.core.types import AnyArray, FloatArray
 from dolfin_elastic.model.kinematics import variables
 from dolfin_elastic.model.materials.law import Law
-from dolfin_elastic.model.materials.memory import LOST
+from dolfin_elastic.model.materials.memory import LOST, Values
 from dolfin_elastic.model.materials.written.history import Remembering, SteppedUser
 from dolfin_elastic.model.point.steps import PointOverSteps
 from dolfin_elastic.model.point.tested import (
@@ -42,9 +41,6 @@ _STRAINED = 0.3
 """Size of the gradients of displacement on these paths."""
 _FASTEST, _SLOWEST = -4.0, 2.0
 """Decades of the lengths of their steps [s], which come in any order."""
-
-
-Values: TypeAlias = Mapping[str, FloatArray]
 
 
 class _Steps(PointOverSteps):
@@ -85,7 +81,10 @@ def changes_at_rest(law: Law) -> str:
     """What of a user's history changes in a body at rest, in words; empty: nothing."""
     if not isinstance(law, Remembering) or not law.history:
         return ""
-    steps = _Steps(law)
+    return _change_at_rest(law, _Steps(law))
+
+
+def _change_at_rest(law: Remembering, steps: _Steps) -> str:
     names = [name for name, v in law.history.items() for _ in range(v.size)]
     start = np.hstack([steps.start[name] for name in law.history])[0]
     for dt in steps.lengths:
@@ -127,7 +126,7 @@ def history(tested: LawUnderTest) -> Iterator[Finding]:
     if law.evolves:
         yield from _dissipation(law, steps)
         yield from _symmetry(tested, law, steps)
-    if change := changes_at_rest(law):
+    if change := _change_at_rest(law, steps):
         yield note("history at rest", change)
     else:
         yield found("history at rest", True, "does not change")
@@ -148,8 +147,9 @@ def _turned(tested: LawUnderTest, law: Remembering, steps: _Steps) -> Iterator[F
     good = error <= 1e3 * ROUND_OFF
     text = f"largest difference {error:.2g}"
     if not good:
-        key = "rate" if law.by_rate else "residual" if law.evolves else "next"
-        text += f"; write {key} in C, E or invariants: turning the body must not change it"
+        text += (
+            f"; write {law.follows_by} in C, E or invariants: turning the body must not change it"
+        )
     yield found("history frame indifference", good, text, error=error)
 
 
@@ -197,12 +197,11 @@ def _dissipation(law: Remembering, steps: _Steps) -> Iterator[Finding]:
         negative |= good & (change < -max(ROUND_OFF * most, _DIGITS * stored))
         values = {name: np.where(good[:, None], value, values[name]) for name, value in end.items()}
     wins = float(negative.mean())
-    key = "rate" if law.by_rate else "residual"
     if wins:
         text = (
             f"energy is won on {percent(wins)} of {_PATHS} random paths: -dpsi/dx dx/dt < 0; has "
         )
-        text += f"`{key}` a wrong sign, or a tensor no determinant = 1?"
+        text += f"`{law.follows_by}` a wrong sign, or a tensor no determinant = 1?"
     else:
         text = f"not negative on {_PATHS} random paths"
     yield found("dissipation", not wins, text, fraction=wins)

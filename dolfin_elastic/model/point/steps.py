@@ -71,6 +71,8 @@ class PointOverSteps:
             stepped = memory.with_root(past, self._step, root)
         assert isinstance(stepped, SteppedLaw)
         self.law, self.values = stepped, {v.name: v.at_start[None] for v in memory.variables}
+        # Of the last step whose equations were solved, and what it was asked for.
+        self._solved: tuple[tuple[object, ...], tuple[list[FloatArray], BoolArray]] | None = None
 
     def _program(self, expression: Expr) -> NumpyProgram:
         others = (*self._past.values(), *self._step.values(), *self._of_root)
@@ -116,12 +118,23 @@ class PointOverSteps:
         """z and the inverse of dr/dz, nothing without equations; and where they were found."""
         if not isinstance(self._memory, ImplicitMemory):
             return [], np.ones(len(at[0]), dtype=bool)
-        start = np.hstack([self.values[v.name] for v in self._memory.unknowns])
+        asked = (*at, self.values, dt)
+        if self._solved is None or any(
+            a is not b for a, b in zip(self._solved[0], asked, strict=True)
+        ):
+            self._solved = asked, self._solve(self._memory, at, dt)
+        return self._solved[1]
+
+    def _solve(
+        self, memory: ImplicitMemory, at: Sequence[FloatArray], dt: float
+    ) -> tuple[list[FloatArray], BoolArray]:
+        """See `_root`."""
+        start = np.hstack([self.values[v.name] for v in memory.unknowns])
         n, known = len(at[0]), self._known(dt)
         size = start.shape[1]
         z = np.array(np.broadcast_to(start, (n, size)))
         none = np.zeros((1, size**2))
-        points = _Newton(z, [v.size for v in self._memory.unknowns])
+        points = _Newton(z, [v.size for v in memory.unknowns])
         for _ in range(MOST):
             k = np.flatnonzero(points.going).astype(np.int32)
             if not len(k):

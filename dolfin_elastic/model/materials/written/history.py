@@ -22,7 +22,7 @@ from ufl.core.expr import Expr
 from dolfin_elastic.core.errors import InputError, nearest
 from dolfin_elastic.core.schema import quoted
 from dolfin_elastic.model.materials.law import SplitLaw, once
-from dolfin_elastic.model.materials.memory import Memory, Variable, in_a_row
+from dolfin_elastic.model.materials.memory import Memory, Variable
 from dolfin_elastic.model.materials.stepped import SteppedLaw, SteppedSplitLaw
 from dolfin_elastic.model.materials.viscous import Viscous
 
@@ -245,10 +245,6 @@ class Remembering(Viscous):
         at_rest |= {old(name): _at_start(v) for name, v in self.history.items() if self.evolves}
         return {n: self._past.get(n, value) for n, value in at_rest.items() if n in wanted}
 
-    def ends(self, F: Expr) -> Expr:
-        """All numbers of `following`, as one UFL vector."""
-        return in_a_row(self.history.values(), self.following(F))
-
 
 class UserMemory(Memory):
     """What a user's law remembers."""
@@ -259,8 +255,9 @@ class UserMemory(Memory):
 
     def over_step(self, past: Mapping[str, Expr], step: Mapping[str, Expr]) -> SteppedLaw:
         """See `Memory`."""
-        kind = SteppedUserSplit if isinstance(self._law, SplitLaw) else SteppedUser
-        return kind(self._law, past, step)
+        if isinstance(self._law, SplitLaw):
+            return SteppedUserSplit(self._law, past, step)
+        return SteppedUser(self._law, past, step)
 
     def step(self, dt: float, *, passes: bool) -> dict[str, float]:
         """See `Memory`."""
@@ -314,7 +311,7 @@ class SteppedUser(SteppedLaw):
 
 
 @dataclass(frozen=True)
-class SteppedUserSplit(SteppedUser, SteppedSplitLaw):
+class SteppedUserSplit(SteppedSplitLaw, SteppedUser):
     """The same with a volumetric part, which remembers nothing."""
 
     @once
@@ -329,14 +326,6 @@ class SteppedUserSplit(SteppedUser, SteppedSplitLaw):
         fresh = self._fresh
         assert isinstance(fresh, SplitLaw)
         return fresh.shape_energy(F)
-
-    def energy(self, F: Expr) -> Expr:
-        """See `SteppedSplitLaw`."""
-        return SteppedSplitLaw.energy(self, F)
-
-    def stress(self, F: Expr) -> Expr:
-        """See `SteppedSplitLaw`."""
-        return SteppedSplitLaw.stress(self, F)
 
     def branch_stress(self, F: Expr) -> Expr:
         """See `SteppedUser`."""

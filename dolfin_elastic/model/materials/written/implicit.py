@@ -18,17 +18,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-import ufl
 from ufl.core.expr import Expr
 
 from dolfin_elastic.model.materials.law import SplitLaw, once
 from dolfin_elastic.model.materials.memory import (
-    LOST,
     Equations,
     ImplicitMemory,
     ImplicitStep,
     Root,
-    in_a_row,
     of_dissipation,
     unimodular,
     with_dissipation,
@@ -50,19 +47,13 @@ class EvolutionMemory(ImplicitMemory):
         self.unknowns = tuple(law.history.values())
         self.variables = (*self.unknowns, *of_dissipation(self.unknowns))
 
-    def over_step(self, past: Mapping[str, Expr], step: Mapping[str, Expr]) -> SteppedEvolution:
-        """See `Memory`: a step in which the unknowns stay as they are."""
-        size = sum(v.size for v in self.unknowns)
-        found = in_a_row(self.unknowns, past)
-        return self.with_root(past, step, Root(self.unknowns, found, ufl.zero(size * size)))
-
     def with_root(
         self, past: Mapping[str, Expr], step: Mapping[str, Expr], root: Root
     ) -> SteppedEvolution:
         """See `ImplicitMemory`."""
-        split = isinstance(self._law, SplitLaw)
-        kind = SteppedSplitEvolution if split else SteppedEvolution
-        return kind(self._law, past, step, root)
+        if isinstance(self._law, SplitLaw):
+            return SteppedSplitEvolution(self._law, past, step, root)
+        return SteppedEvolution(self._law, past, step, root)
 
     def step(self, dt: float, *, passes: bool) -> dict[str, float]:
         """See `Memory`."""
@@ -119,10 +110,6 @@ class SteppedEvolution(ImplicitStep, SteppedUser):
         """See `SteppedLaw`."""
         return self._then(F).energy(F)
 
-    def branch_stress(self, F: Expr) -> Expr | None:
-        """See `OverStep`: none, the energy is what is stored."""
-        return None
-
     @once
     def at_end(self, F: Expr) -> dict[str, Expr]:
         """See `OverStep`."""
@@ -131,13 +118,9 @@ class SteppedEvolution(ImplicitStep, SteppedUser):
             self.root, self._now(F), self.past, lambda x: self._at(self._kept(x)).energy(F)
         )
 
-    def lost(self, F: Expr) -> Expr:
-        """See `OverStep`."""
-        return self.at_end(F)[LOST.name]
-
 
 @dataclass(frozen=True)
-class SteppedSplitEvolution(SteppedEvolution, SteppedSplitLaw):
+class SteppedSplitEvolution(SteppedSplitLaw, SteppedEvolution):
     """The same with a volumetric part, which remembers nothing."""
 
     @once
@@ -152,11 +135,3 @@ class SteppedSplitEvolution(SteppedEvolution, SteppedSplitLaw):
         then = self._then(F)
         assert isinstance(then, SplitLaw)
         return then.shape_energy(F)
-
-    def energy(self, F: Expr) -> Expr:
-        """See `SteppedSplitLaw`."""
-        return SteppedSplitLaw.energy(self, F)
-
-    def stress(self, F: Expr) -> Expr:
-        """See `SteppedSplitLaw`."""
-        return SteppedSplitLaw.stress(self, F)
