@@ -19,6 +19,8 @@ FILLED = "filled.npz"
 """The file with points, cells and their bodies, facets and their groups."""
 _SHARP = 40.0
 """Angle between triangles from which on their common edge stays an edge [degrees]."""
+_SAME = 1e-7
+"""Distance of nodes that are one, over the size of the model."""
 _TRIANGLE, _TETRAHEDRON = 2, 4
 _CURVED = {2: 9, 3: 11}
 """Gmsh's types of elements."""
@@ -57,6 +59,7 @@ def fill_in_gmsh(gmsh: ModuleType, given: Path, folder: Path, way: Mapping[str, 
     for name, value in options.items():
         gmsh.option.setNumber(f"Mesh.{name}", value)
     _generate(gmsh)
+    _weld(gmsh)
     curved = way["order"] == 2 and _curve(gmsh)
     own = {tag: int(owner[0]) for tag, owner in owners.items()}
     _save(gmsh, folder / FILLED, volumes, own, order=2 if curved else 1)
@@ -121,6 +124,23 @@ def _generate(gmsh: ModuleType) -> None:
     empty = [e for e in gmsh.model.getEntities(3) if not len(gmsh.model.mesh.getElements(*e)[0])]
     if told := logged_errors(gmsh) or ("a body has no elements" if empty else ""):
         raise MeshError(f"Gmsh cannot fill it: {told}")
+
+
+def _weld(gmsh: ModuleType) -> None:
+    """Nodes at one place become one; cells and facets without extent between them are left out.
+
+    On the parameters of a long surface two nodes may differ that are 1e-9 of its length apart.
+    """
+    mesh = gmsh.model.mesh
+    gmsh.option.setNumber("Geometry.Tolerance", _SAME)
+    mesh.removeDuplicateNodes()
+    for dim, kind, corners in ((2, _TRIANGLE, 3), (3, _TETRAHEDRON, 4)):
+        for _, tag in gmsh.model.getEntities(dim):
+            numbers, nodes = mesh.getElementsByType(kind, tag)
+            nodes = np.sort(np.asarray(nodes).reshape(-1, corners), axis=1)
+            twice = (np.diff(nodes, axis=1) == 0).any(axis=1)
+            if twice.any():
+                mesh.removeElements(dim, tag, numbers[twice])
 
 
 def _curve(gmsh: ModuleType) -> bool:
