@@ -236,7 +236,7 @@ long where ranks wait for each other, and belong to the rest there."""
 ENDURING = ("fifty_periods", "test_second_order", "to_second_order")
 """In names of tests of orders and periods in time, thousands of small steps, in which ranks
 that wait for each other take minutes each: on one rank only; the steps are the same on several."""
-QUICK = 4
+QUICK = 2
 """Parameters of each test in the quick set, unless it says so itself."""
 PLENTY = 10
 """Parameters of each test on one rank in the rest, except of TEXTS: all of them by --all."""
