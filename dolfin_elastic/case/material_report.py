@@ -24,6 +24,7 @@ from dolfin_elastic.model.materials.registry import MATERIALS
 from dolfin_elastic.model.point.cyclic_curve import CyclicCurve
 from dolfin_elastic.model.point.homogeneous_tests import ResponseCurve
 from dolfin_elastic.model.point.report import MaterialReport
+from dolfin_elastic.model.point.time_curves import TimeCurves
 from dolfin_elastic.model.point.viscous_curves import ViscousCurves
 from dolfin_elastic.results.files import make_folder, replace_text, writing
 
@@ -199,6 +200,8 @@ def write(name: str, report: MaterialReport, folder: Path) -> list[Path]:
         _draw(name, report, paths[-1])
     if report.viscous is not None:
         paths += _write_viscous(folder / f"{_file_name(name)}", report.viscous)
+    if report.over_time is not None:
+        paths += _write_over_time(folder / f"{_file_name(name)}", report.over_time)
     if report.cyclic is not None:
         paths += _write_cyclic(folder / f"{_file_name(name)}", report.cyclic)
     return paths
@@ -227,6 +230,28 @@ def _write_viscous(begin: Path, curves: ViscousCurves) -> list[Path]:
         replace_text(paths[-1], _columns(columns))
     paths.append(begin.with_name(f"{begin.name}_relaxation.png"))
     _draw_viscous(curves, paths[-1])
+    return paths
+
+
+def _write_over_time(begin: Path, curves: TimeCurves) -> list[Path]:
+    """Tables and a picture of relaxation and creep, and of loops, under uniaxial stress.
+
+    Args:
+        begin: Of the files' names, with their folder.
+    """
+    loops = {
+        "frequency": np.repeat([x.frequency for x in curves.loops], len(curves.loops[0].stretch)),
+        "stretch": np.concatenate([loop.stretch for loop in curves.loops]),
+        "nominal_stress": np.concatenate([loop.nominal for loop in curves.loops]),
+    }
+    held = {"time": curves.t, "nominal_stress_held": curves.relaxation, "stretch": curves.creep}
+    paths = []
+    for what, columns in (("creep", held if len(curves.t) else {}), ("loops", loops)):
+        if columns:
+            paths.append(begin.with_name(f"{begin.name}_{what}.csv"))
+            replace_text(paths[-1], _columns(columns))
+    paths.append(begin.with_name(f"{begin.name}_loops.png"))
+    _draw_over_time(curves, paths[-1])
     return paths
 
 
@@ -273,6 +298,37 @@ def _draw_cyclic(curve: CyclicCurve, path: Path) -> None:
     strain, stress = curve.measures
     axis.set(title="uniaxial, cycles", xlabel=f"{strain} [%]", ylabel=f"{stress} [{unit}]")
     axis.grid(color="#dde1e5")
+    _save(figure, path)
+
+
+@plain_matplotlib()
+def _draw_over_time(curves: TimeCurves, path: Path) -> None:
+    """Stress and strain over time beside stress over strain in cycles."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    panels = 3 if len(curves.t) else 1
+    figure = Figure(figsize=(13 if panels > 1 else 6.4, 4), layout="constrained")
+    FigureCanvasAgg(figure)
+    *held, right = figure.subplots(1, panels, squeeze=False)[0]
+    size, unit = stress_unit(curves.largest)
+    stress = f"nominal stress [{unit}]"
+    for loop, color in zip(curves.loops, ("#1f5f8b", "#b0562f", "#4f7a3a"), strict=False):
+        strain = 100 * (loop.stretch - 1)
+        right.plot(strain, loop.nominal / size, color=color, label=loop.name)
+    right.set(title="cycles", xlabel="strain [%]", ylabel=stress)
+    right.legend(fontsize=8)
+    if held:
+        title = f"relaxation at a strain of {100 * (curves.held - 1):.3g} %"
+        held[0].semilogx(curves.t[1:], curves.relaxation[1:] / size, color="#1f5f8b")
+        held[0].set(title=title, xlabel="time [s]", ylabel=stress)
+        title = f"creep at a nominal stress of {curves.relaxation[0] / size:.3g} {unit}"
+        held[1].semilogx(curves.t[1:], 100 * (curves.creep[1:] - 1), color="#1f5f8b")
+        held[1].set(title=title, xlabel="time [s]", ylabel="strain [%]")
+    for axis in held:
+        axis.set_ylim(bottom=0)
+    for axis in (*held, right):
+        axis.grid(color="#dde1e5")
     _save(figure, path)
 
 

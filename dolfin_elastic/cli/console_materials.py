@@ -18,6 +18,7 @@ from dolfin_elastic.model.materials.library import in_words, library
 if TYPE_CHECKING:
     from dolfin_elastic.model.point.cyclic_curve import CyclicCurve
     from dolfin_elastic.model.point.report import MaterialReport
+    from dolfin_elastic.model.point.time_curves import TimeCurves
     from dolfin_elastic.model.point.viscous_curves import ViscousCurves
 
 _MARKS = {"pass": "ok", "fail": "FAILED", "note": "note"}
@@ -54,6 +55,7 @@ def report_table(report: MaterialReport) -> dict[str, object]:
             for name, curve in report.curves.items()
         },
         **({} if report.viscous is None else {"viscous": _viscous(report.viscous)}),
+        **({} if report.over_time is None else {"over_time": _over_time(report.over_time)}),
         **({} if report.cyclic is None else {"cyclic": _cyclic(report.cyclic)}),
     }
 
@@ -67,6 +69,24 @@ def _viscous(curves: ViscousCurves) -> dict[str, object]:
         "storage": curves.storage.tolist(),
         "loss": curves.loss.tolist(),
         "mu": curves.mu,
+    }
+
+
+def _over_time(curves: TimeCurves) -> dict[str, object]:
+    """Uniaxial tests over time."""
+    return {
+        "time": curves.t.tolist(),
+        "relaxation": curves.relaxation.tolist(),
+        "creep": curves.creep.tolist(),
+        "loops": [
+            {
+                "frequency": loop.frequency,
+                "stretch": loop.stretch.tolist(),
+                "nominal_stress": loop.nominal.tolist(),
+                "lost": loop.lost,
+            }
+            for loop in curves.loops
+        ],
     }
 
 

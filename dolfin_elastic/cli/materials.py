@@ -40,7 +40,8 @@ def material(
       dolfin-elastic material                   list the library
 
     Checks what every material must keep, says how far it goes, and draws its curves: uniaxial,
-    equibiaxial, planar, simple shear, volumetric; of metals that yield a few cycles.
+    equibiaxial, planar, simple shear, volumetric; of metals that yield a few cycles; of
+    materials that take time relaxation, creep and cycles.
     """
     start()
     from mpi4py import MPI

@@ -12,12 +12,14 @@ from dolfin_elastic.case.material_report import law_table, usual_stretch
 from dolfin_elastic.case.model_tables import read_material_tables
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.si_text import given, scaled_unit
+from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.model.materials.registry import MATERIALS
 from dolfin_elastic.model.materials.spatial import units_of
 from dolfin_elastic.model.materials.user import SplitFormulaEnergy
 from dolfin_elastic.model.point.cyclic_curve import CyclicCurve
 from dolfin_elastic.model.point.homogeneous_tests import ResponseCurve
 from dolfin_elastic.model.point.report import material_report
+from dolfin_elastic.model.point.time_curves import TimeCurves
 from dolfin_elastic.model.point.viscous_curves import ViscousCurves
 from dolfin_elastic.report.charts import Axis, Line, line_chart
 from dolfin_elastic.report.words import names, part_names
@@ -120,7 +122,7 @@ def _tested(
     except (ArithmeticError, ValueError, KeyError, TypeError) as error:
         return (), (f"No curves: the material cannot be tried at a point ({error})",), ()
     failed = tuple(f"{row.check}: {row.text}" for row in report.failed)
-    wanted = ("relaxation", "cycles")
+    wanted = ("relaxation", "creep", "loops", "cycles")
     inelastic = tuple((f.check, f.text) for f in report.findings if f.check in wanted)
     if not report.curves:
         return (), (*failed, *report.notes), inelastic
@@ -130,6 +132,8 @@ def _tested(
     charts = [_chart(part) for part in (stretched, sheared) if part]
     if report.viscous is not None:
         charts += _viscous_charts(report.viscous)
+    if report.over_time is not None:
+        charts += _charts_over_time(report.over_time)
     if report.cyclic is not None:
         charts.append(_cyclic_chart(report.cyclic))
     return tuple(charts), (*failed, *([law.warning] if law.warning else [])), inelastic
@@ -150,6 +154,32 @@ def _viscous_charts(curves: ViscousCurves) -> list[Markup]:
         line_chart(over_time, time, up, title=f"{up.label} over time"),
         line_chart(over_frequency, hertz, up, title=f"{up.label} over frequency"),
     ]
+
+
+def _charts_over_time(curves: TimeCurves) -> list[Markup]:
+    """Strain under a held stress over time; stress over strain in cycles."""
+    factor, unit = scaled_unit(curves.largest, "Pa")
+    up, strain = Axis(f"nominal stress [{unit}]"), Axis("strain [%]")
+    lines = [
+        Line(loop.name, _percent(loop.stretch), _over(loop.nominal, factor))
+        for loop in curves.loops
+    ]
+    loops = line_chart(lines, strain, up, title=f"{up.label} over strain, in cycles")
+    if not len(curves.t):
+        return [loops]
+    time, load = Axis("time [s]", logarithmic=True), f"{curves.relaxation[0] / factor:.3g} {unit}"
+    creep = [Line("creep", curves.t[1:], _percent(curves.creep[1:]))]
+    title = f"strain under a nominal stress of {load}"
+    return [line_chart(creep, time, strain, title=title), loops]
+
+
+def _percent(stretch: FloatArray) -> FloatArray:
+    """Strain [%] at a stretch, shape (n,)."""
+    return _over(stretch - 1, 0.01)
+
+
+def _over(values: FloatArray, unit: float) -> FloatArray:
+    return np.asarray(values / unit, dtype=np.float64)
 
 
 def _cyclic_chart(curve: CyclicCurve) -> Markup:

@@ -463,6 +463,7 @@ class Energy(UserEnergy):
         "viscous_on",
         "viscous_constants",
         "viscous_shift",
+        "viscous_deviation",
         "prony",
         "fibre",
         "fibre2",

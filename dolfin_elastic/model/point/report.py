@@ -18,6 +18,7 @@ from dolfin_elastic.model.point.homogeneous_tests import (
     response_curve,
 )
 from dolfin_elastic.model.point.tested import Finding, LawUnderTest
+from dolfin_elastic.model.point.time_curves import TimeCurves, time_curves, time_findings
 from dolfin_elastic.model.point.viscous_curves import ViscousCurves, viscous_curves
 
 LARGEST = 2.0
@@ -34,6 +35,7 @@ class MaterialReport(Shown):
         curves: Name of a mode to its response; empty if the law is not finite near F = I.
         notes: Remarks: warnings, replaced constants, ends of curves.
         viscous: Relaxation over time, storage and loss over frequency; None: nothing relaxes.
+        over_time: Relaxation, creep and loops under uniaxial stress; None: time changes nothing.
         cyclic: Uniaxial stress of a metal that yields, over some cycles; None: nothing yields.
     """
 
@@ -42,6 +44,7 @@ class MaterialReport(Shown):
     curves: dict[str, ResponseCurve]
     notes: tuple[str, ...]
     viscous: ViscousCurves | None = None
+    over_time: TimeCurves | None = None
     cyclic: CyclicCurve | None = None
 
     @property
@@ -53,7 +56,7 @@ class MaterialReport(Shown):
 def material_report(law: Law, *, largest: float = LARGEST) -> MaterialReport:
     """Checks a material at a point and computes its response curves and range of validity.
 
-    Not collective; takes about a second.
+    Not collective; takes about a second, and some of a law that remembers by equations.
 
     Args:
         law: Any law whose constants are numbers.
@@ -88,6 +91,9 @@ def material_report(law: Law, *, largest: float = LARGEST) -> MaterialReport:
         }
         findings += [*energy_growth(tested), *ellipticity(tested, curves)]
         cyclic = cyclic_curve(tested.law, largest)
+        over_time = time_curves(tested.law, largest)
+    findings += [] if over_time is None else time_findings(over_time)
     findings += [] if cyclic is None else cyclic_findings(cyclic)
     notes += [end for curve in curves.values() for end in curve.ends]
-    return MaterialReport(law, tuple(findings), curves, tuple(notes), viscous_curves(law), cyclic)
+    viscous = viscous_curves(law)
+    return MaterialReport(law, tuple(findings), curves, tuple(notes), viscous, over_time, cyclic)

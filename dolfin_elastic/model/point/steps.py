@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
 
 import numpy as np
@@ -18,6 +18,7 @@ from dolfin_elastic.model.materials.memory import (
     ImplicitStep,
     OverStep,
     Root,
+    Values,
     in_a_row,
 )
 from dolfin_elastic.model.materials.stepped import SteppedLaw
@@ -32,7 +33,22 @@ SMALL, LEAST = 1e-3, 1e-6
 """See `core.jit.point_roots`."""
 
 Quantity = Callable[..., FloatArray]
-"""Function of values of the point's symbols, shape (n, ...), and of the step's length `dt` [s]."""
+"""Function of values of the point's symbols, shape (n, ...), and of the step's length `dt`."""
+Length = float | FloatArray
+"""Of the step [s]; or one of each point, shape (n,)."""
+
+
+def of_each(
+    function: Callable[..., Mapping[str, FloatArray]], dt: Length, *values: Mapping[str, FloatArray]
+) -> dict[str, FloatArray]:
+    """What a memory makes of values, of shape (n, size) or (1, size), in a step of each length."""
+    if isinstance(dt, float):
+        return dict(function(*values, dt))
+    rows = [
+        function(*({k: v[i % len(v)][None].copy() for k, v in x.items()} for x in values), float(h))
+        for i, h in enumerate(dt)
+    ]
+    return {name: np.concatenate([row[name] for row in rows]) for name in rows[0]}
 
 
 class PointOverSteps:
@@ -82,23 +98,28 @@ class PointOverSteps:
         """An expression of the symbols, of the history and of the step as a function of numbers."""
         program = self._program(expression)
 
-        def value(*at: FloatArray, dt: float) -> FloatArray:
+        def value(*at: FloatArray, dt: Length) -> FloatArray:
             return np.asarray(program(*at, *self._known(dt), *self._root(at, dt)[0]))
 
         return value
 
-    def _known(self, dt: float) -> list[FloatArray]:
+    def _known(self, dt: Length) -> list[FloatArray]:
         """The past, and the constants of a step."""
-        past = self._memory.fold(self.values, dt)
-        step = self._memory.step(dt, passes=True)
-        return [
-            *(past[name] for name in self._past),
-            *(np.array([step[name]]) for name in self._step),
-        ]
+
+        def of_one(values: Values, dt: float) -> dict[str, FloatArray]:
+            step = self._memory.step(dt, passes=True)
+            return {
+                **self._memory.tell(values, dt),
+                **self._memory.fold(values, dt),
+                **{name: np.array([step[name]]) for name in self._step},
+            }
+
+        known = of_each(of_one, dt, self.values)
+        return [known[name] for name in (*self._past, *self._step)]
 
     # --- equations of a step ---
 
-    def found(self, *at: FloatArray, dt: float) -> BoolArray:
+    def found(self, *at: FloatArray, dt: Length) -> BoolArray:
         """Where equations of the step have a root; everywhere, if there are none."""
         return self._root(at, dt)[1]
 
@@ -107,14 +128,14 @@ class PointOverSteps:
         assert isinstance(self.law, ImplicitStep)
         return self._program(self.law.root.to_solve(self.law.equations(self.F)))
 
-    def equations(self, *at: FloatArray, dt: float) -> FloatArray:
+    def equations(self, *at: FloatArray, dt: Length) -> FloatArray:
         """r and dr/dz at the start of a step, shape (n, m)."""
         assert isinstance(self._memory, ImplicitMemory)
         z = np.hstack([self.values[v.name] for v in self._memory.unknowns])
         none = np.zeros((1, z.shape[1] ** 2))
         return np.asarray(self._equations(*at, *self._known(dt), z, none))
 
-    def _root(self, at: Sequence[FloatArray], dt: float) -> tuple[list[FloatArray], BoolArray]:
+    def _root(self, at: Sequence[FloatArray], dt: Length) -> tuple[list[FloatArray], BoolArray]:
         """z and the inverse of dr/dz, nothing without equations; and where they were found."""
         if not isinstance(self._memory, ImplicitMemory):
             return [], np.ones(len(at[0]), dtype=bool)
@@ -126,7 +147,7 @@ class PointOverSteps:
         return self._solved[1]
 
     def _solve(
-        self, memory: ImplicitMemory, at: Sequence[FloatArray], dt: float
+        self, memory: ImplicitMemory, at: Sequence[FloatArray], dt: Length
     ) -> tuple[list[FloatArray], BoolArray]:
         """See `_root`."""
         start = np.hstack([self.values[v.name] for v in memory.unknowns])
@@ -149,15 +170,15 @@ class PointOverSteps:
     def _at_end(self) -> Quantity:
         return self.quantity(in_a_row(self._memory.found, self.law.at_end(self.F)))
 
-    def at_end(self, *at: FloatArray, dt: float) -> dict[str, FloatArray]:
+    def at_end(self, *at: FloatArray, dt: Length) -> dict[str, FloatArray]:
         """The variables at the end of a step to values of the symbols; shape (n, size)."""
         rows, found, offset = self._at_end(*at, dt=dt), {}, 0
         for v in self._memory.found:
             found[v.name] = rows[:, offset : offset + v.size]
             offset += v.size
-        return dict(self._memory.follow(self.values, found, dt))
+        return of_each(self._memory.follow, dt, self.values, found)
 
-    def commit(self, *at: FloatArray, dt: float) -> None:
+    def commit(self, *at: FloatArray, dt: Length) -> None:
         """Makes the states at values of the symbols the past."""
         self.values = self.at_end(*at, dt=dt)
 
