@@ -10,7 +10,8 @@ import numpy as np
 
 from dolfin_elastic.core.errors import MeshError
 from dolfin_elastic.core.types import AnyArray, FloatArray, IntArray
-from dolfin_elastic.mesh.formats.cad.curved import is_curved, straighten_folded
+from dolfin_elastic.mesh.formats.cad.curved import is_curved
+from dolfin_elastic.mesh.formats.cad.folded import straighten_folded
 from dolfin_elastic.mesh.formats.cad.meshing import logged_errors
 
 GIVEN = "complex.npz"
