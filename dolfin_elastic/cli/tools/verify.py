@@ -43,6 +43,9 @@ def verify(
         float,
         typer.Option("--tolerance", help="Relative difference that ranks may have, with --case."),
     ] = AGREEMENT,
+    speed: Annotated[
+        bool, typer.Option("--speed", help="Time the kernels, beside the bound of memory.")
+    ] = False,
     json: Annotated[
         Path | None, typer.Option("--json", metavar="FILE", help="Also write the table as JSON.")
     ] = None,
@@ -54,12 +57,13 @@ def verify(
       dolfin-elastic verify --full --ranks 1,2
       mpirun -n 4 dolfin-elastic verify                   on these ranks
       dolfin-elastic verify --case my.toml --ranks 1,2,4  is my case the same on all of them?
+      dolfin-elastic verify --speed                       how fast is it on this machine?
 
     Exit code 1: a result is off by more than its limit, or ranks differ.
 
     \f
     Raises:
-        UsageError: Ranks are asked for within mpirun.
+        UsageError: Ranks are asked for within mpirun, or beside --speed.
         CaseError: There is no mpirun.
         OutputError: The table cannot be written.
     """
@@ -74,6 +78,11 @@ def verify(
         )
     if case is not None:
         raise Exit(_compare(case, counts, tolerance, json))
+    if speed:
+        if full or counts:
+            raise UsageError("--speed stands alone: for several ranks write mpirun before it.")
+        _time_kernels(json)
+        return
     rows = []
     for row in _started(counts, full=full) if counts else _here(full=full):
         rows.append(row)
@@ -106,6 +115,32 @@ def _here(*, full: bool) -> Iterator[dict[str, Any]]:
     collect_garbage()
     for outcome in suite(MPI.COMM_WORLD, full=full):
         yield outcome.row()
+
+
+def _time_kernels(json: Path | None) -> None:
+    """Times the kernels on the ranks of this process, and shows them. Collective."""
+    start()
+    from mpi4py import MPI
+
+    from dolfin_elastic.study.verify.speed import speeds, triad
+
+    comm = MPI.COMM_WORLD
+    bandwidth = triad(comm)
+    rows: list[dict[str, object]] = []
+    if comm.rank == 0:
+        ranks = f"{comm.size} rank{'s' * (comm.size > 1)}"
+        print(f"memory: {bandwidth / 1e9:.3g} GB/s on {ranks}, of a = b + s c")
+        print(f"{'elements':11}{'operation':18}{'time':>9}{'bound':>9}{'ratio':>8}  [ns] per")
+    for speed in speeds(comm, bandwidth):
+        rows.append(speed.row())
+        if comm.rank == 0:
+            numbers = f"{speed.nanoseconds:>9.3g}{speed.bound:>9.3g}"
+            ratio = f"{speed.nanoseconds / speed.bound:>8.1f}"
+            print(f"{speed.elements:11}{speed.what:18}{numbers}{ratio}  {speed.per}", flush=True)
+    if comm.rank == 0:
+        print("The bound is the time of the memory traffic alone. Other work slows both.")
+    if json is not None:
+        _write(json, [{"what": "memory", "bytes_per_second": bandwidth}, *rows])
 
 
 _PROGRAM = f"""

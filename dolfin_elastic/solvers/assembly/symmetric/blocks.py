@@ -70,6 +70,11 @@ class SymmetricBlocks:
         self.far = OffProcessRows(self, ghosts - ghosts[0], columns[ghosts[0] :].copy())
         self._x = np.zeros((self.halo.size, self.dim)) if self.halo.comm.size > 1 else None
 
+    @property
+    def nbytes(self) -> int:
+        """Bytes of the blocks of this rank and of their places."""
+        return self.high.nbytes + self.low.nbytes + self.columns.nbytes + self.start.nbytes
+
     def clear(self) -> None:
         """All blocks become zero. Local."""
         self.high[:] = 0.0
