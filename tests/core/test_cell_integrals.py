@@ -5,6 +5,7 @@ from __future__ import annotations
 import basix
 import numpy as np
 import pytest
+import ufl
 from dolfinx import fem, la
 from helpers.laws import make
 from helpers.states import bend
@@ -197,3 +198,30 @@ def test_rules_of_high_degree_leave_the_stack_alone():
     values = CellExpression(moduli(problem, region), points, problem.w, problem.jit)
     assert (len(points), values.in_lanes) == (1331, False)
     assert np.isfinite(values.eval(region.cells)).all()
+
+
+def test_elementary_functions():
+    """Logarithm, exponential and powers to two units in the last place, and what is not finite."""
+    body = box_body(size=(1, 1, 1), cells=(5, 5, 5))
+    problem = Problem(body, SOFT, degree=1)
+    fields = [fem.Function(fem.functionspace(body.mesh, ("DG", 0))) for _ in range(2)]
+    x, t = (f.x.array for f in fields)
+    rng = np.random.default_rng(4)
+    x[:], t[:] = np.exp(rng.uniform(-3, 3, len(x))), rng.uniform(-600, 600, len(x))
+    x[::2] = 1 + 1e-3 * rng.standard_normal(len(x[::2]))
+    t[::2] = rng.standard_normal(len(t[::2]))
+    x[-20:-10] = [0.0, -1.0, np.inf, np.nan, 5e-324, 1e-310, 1.0, 1e308, -0.0, 0.5]
+    t[-20:-10] = [0.0, -1e4, np.inf, np.nan, -np.inf, 1e4, 710.0, -745.0, 1e-300, 1.0]
+    base, power = fields
+    wanted = ufl.as_vector(
+        [ufl.ln(base), ufl.exp(power), base ** (-2 / 3), base**2, base**2.5, base**-40.0]
+    )
+    values = CellExpression(wanted, np.full((1, 3), 0.25), problem.w, problem.jit)
+    with np.errstate(all="ignore"):
+        known = [np.log(x), np.exp(t), x ** (-2 / 3), x**2, x**2.5, x**-40.0]
+        found = values.eval(np.arange(len(x), dtype=np.int32)).T
+        for one, other in zip(found, known, strict=True):
+            assert np.array_equal(np.isfinite(one), np.isfinite(other))
+            plain = np.isfinite(other)
+            assert np.array_equal(one[~plain], other[~plain], equal_nan=True)
+            np.testing.assert_allclose(one[plain], other[plain], rtol=4.5e-16, atol=5e-324)

@@ -74,7 +74,8 @@ class Kernel:
 
         rules = files(__package__).joinpath("vectorise.py").read_text(encoding="utf-8")
         which = [self.folder.name, self.number] if many else []
-        return Code("\n".join(map(str, [rules, written("lanes.h"), self.arguments, *which])), make)
+        headers = [written("lanes.h"), written("elementary.h")]
+        return Code("\n".join(map(str, [rules, *headers, self.arguments, *which])), make)
 
 
 NO_KERNEL = Kernel(0, 7, Path(), 0)

@@ -30,6 +30,7 @@ typedef double lanes __attribute__((vector_size(8 * LANES), may_alias));
 /* The same in all lanes, where it is a number; a vector as it is: x - 0 is x, also for x = -0. */
 #define SPREAD(x) ((x) - ZERO)
 #define CHOOSE(mark, x, y) ((lanes)(((mark) & (marks)(x)) | (~(mark) & (marks)(y))))
+#include "elementary.h"
 #define OF_ONE(f)            \
   INLINE lanes each_##f(lanes x) \
   {                          \
