@@ -66,7 +66,7 @@ from dolfin_elastic.problem.weak_form import (
 
 if TYPE_CHECKING:
     from dolfin_elastic.model.point_mass import PointMass
-    from dolfin_elastic.problem.history import History
+    from dolfin_elastic.problem.history.history import History
 
 
 def placed_axes(
@@ -465,7 +465,7 @@ def _history(problem: Problem) -> History | None:
     """What the materials of a problem remember; None where none does. Collective."""
     if all(region.law.memory is None for region in problem.regions):
         return None
-    from dolfin_elastic.problem.history import History
+    from dolfin_elastic.problem.history.history import History
 
     grows = bool(problem.eigenstrains)
     return History(problem.context, problem.weak_form, problem.cell, grows=grows)

@@ -153,9 +153,12 @@ class WeakForm:
         unknowns = self._unknowns
         F, dF = self.F(unknowns.w), self._variation(ufl.TestFunction(unknowns.W))
         work = sum(
-            ufl.inner(self.response(region, unknowns.w).stress(F), dF)
-            * self.volume(region, self.rule(region))
-            for region in self._regions
+            (
+                ufl.inner(self.response(region, unknowns.w).stress(F), dF)
+                * self.volume(region, self.rule(region))
+                for region in self._regions
+            ),
+            ufl.Form([]),
         )
         if not unknowns.has("pressure"):
             return work
@@ -391,10 +394,22 @@ def weak_form_over_step(form: WeakForm, start: StepStart) -> WeakForm:
     Args:
         start: Where the step begins.
     """
+    changed = _copied(form)
+    changed.start, changed._responses = start, {}
+    return changed
+
+
+def weak_form_without_memory(form: WeakForm) -> WeakForm:
+    """The same virtual work without the stresses of regions that remember."""
+    changed = _copied(form)
+    changed._regions = [one for one in form._regions if one.name not in form.stepped]
+    return changed
+
+
+def _copied(form: WeakForm) -> WeakForm:
     changed = copy(form)
     for made in ("internal", "residual", "tangent", "strain_energy"):
         vars(changed).pop(made, None)
-    changed.start, changed._responses = start, {}
     return changed
 
 

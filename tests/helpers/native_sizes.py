@@ -32,6 +32,12 @@ SIZES = {
         {"NG": 3, "NW": 3, "BS": 2, "N": 1, "NQ": 1, "NN": 1},
         {"NG": 4, "NW": 10, "BS": 3, "N": 7, "NQ": 4, "NN": 4},
     ],
+    "steps.c": [
+        {"DIM": d, "NDP": 4, "BS": d, "WIDTH": width, "BRANCH": branch}
+        | dict.fromkeys(("ND", "NG", "NW"), d + 1)
+        for d in (2, 3)
+        for width, branch in ((4, 0), (8, 0), (8, 1))
+    ],
     "symmetric.c": [{"DIM": 2}, {"DIM": 3}],
     "tangent.c": list(tangents()),
     "thickness.c": [{"DIM": 2}, {"DIM": 3}],

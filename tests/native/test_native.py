@@ -47,7 +47,7 @@ def test_every_file_has_sizes():
         pytest.param(file, sizes, kernel, id=f"{file}-{name}-{number}")
         for file in SIZES
         for name, kernel in (("one", ONE), ("several", SEVERAL))
-        if kernel is ONE or file in ("cells.c", "roots.c", "tangent.c")
+        if kernel is ONE or file in ("cells.c", "roots.c", "steps.c", "tangent.c")
         for number, sizes in enumerate(SIZES[file])
     ],
 )

@@ -124,6 +124,18 @@ def of_roots(sizes: dict[str, int], lanes: int) -> Iterator[Call]:
         yield "solve", values
 
 
+def of_steps(sizes: dict[str, int], lanes: int) -> Iterator[Call]:
+    dim = sizes["DIM"]
+    for count in (1, LANES + 3):
+        values = {"kernel": 1, "count": count, "every": count, "points": dim + 1}
+        values |= {"cells": RNG.permutation(count), "corners": shuffled(count, dim + 1)}
+        values |= {"dofs": shuffled(count, dim + 1), "entries": dim * (dim + 1)}
+        values |= {"packed": dim * (dim + 1), "first": 0, "others": 0, "known": 2, "size": 18}
+        yield "add_steps", values | {"variables": 0, "accept": 1}
+    for accept in (0, 1, 2):
+        yield "collect", {"nodes": 5, "accept": accept}
+
+
 def of_extremes(sizes: dict[str, int], lanes: int) -> Iterator[Call]:
     values = {"count": 3, "points": sizes["NG"], "entries": sizes["DIM"] * sizes["ND"]}
     values |= {"corners": shuffled(3, sizes["NG"]), "nodes": shuffled(3, sizes["ND"])}
@@ -253,12 +265,13 @@ CALLS = {
     "multigrid.c": of_multigrid,
     "patches.c": of_patches,
     "roots.c": of_roots,
+    "steps.c": of_steps,
     "symmetric.c": of_symmetric,
     "tangent.c": of_tangents,
     "thickness.c": of_thickness,
     "triangles.c": of_triangles,
 }
-OF_SEVERAL = ("cells.c", "roots.c", "tangent.c")
+OF_SEVERAL = ("cells.c", "roots.c", "steps.c", "tangent.c")
 """Files that include cells.h."""
 
 
@@ -277,7 +290,9 @@ def macros(sizes: dict[str, int]) -> dict[str, int]:
 
 def text_of(file: str, sizes: dict[str, int], lanes: int) -> str:
     """A file with its sizes; what `macros` says of it is compared with its own."""
-    entries = {"tangent.c": "NQ * MODULI", "roots.c": "NQ * N * (1 + N)"}.get(file, "1")
+    entries = {"tangent.c": "NQ * MODULI", "roots.c": "NQ * N * (1 + N)", "steps.c": "size"}.get(
+        file, "1"
+    )
     header = KERNEL.format(lanes=lanes, entries=entries)
     found = "".join(f"#define {name} {size}\n" for name, size in sizes.items())
     found += read(file, {"kernel.h": header})

@@ -74,8 +74,7 @@ class Kernel:
 
         rules = files(__package__).joinpath("vectorise.py").read_text(encoding="utf-8")
         which = [self.folder.name, self.number] if many else []
-        headers = [written("lanes.h"), written("elementary.h")]
-        return Code("\n".join(map(str, [rules, *headers, self.arguments, *which])), make)
+        return Code("\n".join(map(str, [rules, written("lanes.h"), self.arguments, *which])), make)
 
 
 NO_KERNEL = Kernel(0, 7, Path(), 0)
@@ -116,15 +115,25 @@ class _Room:
     kept: list[AnyArray]
 
     @classmethod
-    def of(cls, coefficients: Sequence[Function_float64], w: fem.Function) -> Self:
-        """For functions of DOLFINx's C++, in the order of the kernel."""
+    def of(
+        cls,
+        coefficients: Sequence[Function_float64],
+        w: fem.Function,
+        filled: Sequence[fem.Function] = (),
+    ) -> Self:
+        """For functions of DOLFINx's C++, in the order of the kernel.
+
+        Args:
+            filled: Those whose numbers a loop has from elsewhere.
+        """
+        elsewhere = [one._cpp_object for one in filled]
         first, at = None, 0
         kept, rows = list[AnyArray](), list[int]()
         for one in coefficients:
             space = one.function_space
             if one is w._cpp_object:
                 first = at
-            else:
+            elif one not in elsewhere:
                 nodes, values = np.ascontiguousarray(space.dofmap.map()), one.x.array
                 kept += [nodes, values]
                 places = [nodes.ctypes.data, values.ctypes.data]
@@ -248,6 +257,7 @@ class CellExpression:
         loops: What is to be done with it; by default it can only be evaluated, and else not,
             where it has a kernel.
         follows: Coefficients that follow from the unknowns are found before.
+        filled: Coefficients whose numbers these loops fill in, see `place_of`.
 
     Attributes:
         size: Numbers in a cell: points times components.
@@ -264,6 +274,7 @@ class CellExpression:
         loops: Loops | None = None,
         *,
         follows: bool = True,
+        filled: Sequence[fem.Function] = (),
     ) -> None:
         comm = w.function_space.mesh.comm
         self._expression, library = expression_and_module(comm, expression, points, jit_options)
@@ -275,7 +286,7 @@ class CellExpression:
         self._w, self.kernel, self.in_lanes = w, None, False
         if all(can_be_packed(one, w) for one in used):
             self.kernel = _function(compiled.tabulate_tensor_float64, library, 0)
-        self._room = _Room.of([one._cpp_object for one in used], w)
+        self._room = _Room.of([one._cpp_object for one in used], w, filled)
         self.size = int(compiled.num_points) * int(self._expression.value_size)
         if self.kernel is None and loops is None:
             return
@@ -303,6 +314,11 @@ class CellExpression:
         where = (address, len(cells), cells, *self._elements, len(w), w)
         room = self._room.arguments
         return self.loops.call(name, *where, *room, len(constants), constants, *arguments)
+
+    @property
+    def fields(self) -> list[fem.Function]:
+        """Its coefficients beside the unknowns."""
+        return [one for one in self._used if one is not self._w]
 
     def place_of(self, coefficient: fem.Function) -> int:
         """Where the numbers of a coefficient begin among those of a cell; below 0: it has none."""

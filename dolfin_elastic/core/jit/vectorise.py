@@ -14,7 +14,7 @@ _OF_ANGLES = ["cos", "sin", "tan", "acos", "asin", "atan", "cosh", "sinh", "tanh
 _OF_ONE = ["sqrt", "fabs", "exp", "log", "erf", *_OF_ANGLES]
 _OF_TWO = ["pow", "atan2", "fmin", "fmax"]
 _OURS = {"exp", "log", "pow"}
-"""Those of elementary.h; of others the C library's are called for each number."""
+"""Those of lanes.h; of others the C library's are called for each number."""
 
 _FUNCTIONS = {*_OF_ONE, *_OF_TWO}
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, Protocol, runtime_checkable
 
 import numpy as np
 import ufl
@@ -86,6 +86,14 @@ Values = Mapping[str, FloatArray]
 """Name of a variable to its numbers at nodes, shape (nodes, size)."""
 
 
+@runtime_checkable
+class HasStress(Protocol):
+    """What all laws give."""
+
+    def stress(self, F: Expr) -> Expr:
+        """First Piola-Kirchhoff stress [Pa]."""
+
+
 class OverStep(ABC):
     """What a law over a time step gives beside what laws give; F is of shape (3, 3)."""
 
@@ -115,6 +123,21 @@ class OverStep(ABC):
     def lost(self, F: Expr) -> Expr | None:
         """Dissipated since the beginning, per reference volume [J/m^3]; None: not known."""
         return None
+
+
+@dataclass(frozen=True)
+class WholeStep:
+    """A step from all that is remembered to all that is then, as functions of F.
+
+    Attributes:
+        stress: First Piola-Kirchhoff stress [Pa].
+        branch_stress: See `OverStep`; None where its work is known otherwise, too.
+        at_end: The variables at the end of the step, and what else of `told` is of one step.
+    """
+
+    stress: Expr
+    branch_stress: Expr | None
+    at_end: Mapping[str, Expr]
 
 
 class Memory(ABC):
@@ -174,6 +197,28 @@ class Memory(ABC):
     def elastic_step(self) -> dict[str, float]:
         """Constants that differ from those of `step` where nothing is to flow, by name."""
         return {}
+
+    def numbers(self, dt: float) -> FloatArray:
+        """What `whole_step` needs to know of a step of a length [s] beside `step`."""
+        return np.zeros(1)
+
+    def whole_step(
+        self, F: Expr, values: Mapping[str, Expr], step: Mapping[str, Expr], numbers: Expr
+    ) -> WholeStep | None:
+        """A step in one go: `fold`, `over_step` and `follow`; None: it cannot be written so.
+
+        Args:
+            values: Of the variables as the step began.
+            step: See `over_step`.
+            numbers: Those of `numbers`, a UFL vector.
+        """
+        follows = type(self).follow is not Memory.follow
+        if follows or self.told or not self.seen == self.found == self.variables:
+            return None
+        law = self.over_step(values, step)
+        assert isinstance(law, HasStress)
+        branch = None if law.stored(F) is not None else law.branch_stress(F)
+        return WholeStep(law.stress(F), branch, law.at_end(F))
 
     def fold(self, values: Values, dt: float) -> Values:
         """`seen`, from the variables at the start of a step of a length [s]."""
@@ -258,6 +303,11 @@ class ImplicitMemory(Memory):
     """
 
     unknowns: tuple[Variable, ...]
+
+    def whole_step(
+        self, F: Expr, values: Mapping[str, Expr], step: Mapping[str, Expr], numbers: Expr
+    ) -> None:
+        """See `Memory`: none, its unknowns are no functions of F."""
 
     def over_step(self, past: Mapping[str, Expr], step: Mapping[str, Expr]) -> ImplicitStep:
         """See `Memory`: a step in which the unknowns stay as they are, as in a sudden one."""

@@ -52,6 +52,7 @@ from dolfin_elastic.model.materials.memory import (
     Root,
     Values,
     Variable,
+    WholeStep,
     of_dissipation,
     unimodular,
     with_dissipation,
@@ -264,7 +265,7 @@ class Relaxation(Memory):
         x = dt / self._times
         return np.exp(-x), -np.expm1(-x) / x if dt > 0.0 else np.ones_like(x)
 
-    def over_step(self, past: Mapping[str, Expr], step: Mapping[str, Expr]) -> SteppedLaw:
+    def over_step(self, past: Mapping[str, Expr], step: Mapping[str, Expr]) -> Relaxed:
         """See `Memory`."""
         law = self._law
         if law.relaxes_whole:
@@ -308,6 +309,24 @@ class Relaxation(Memory):
                 h += np.multiply(change, f[i], out=part)
             values["S"][rows] = found["S"][rows]
         return values
+
+    def numbers(self, dt: float) -> FloatArray:
+        """See `Memory`: e and f of each branch."""
+        return np.concatenate(self._weights(dt))
+
+    def whole_step(
+        self, F: Expr, values: Mapping[str, Expr], step: Mapping[str, Expr], numbers: Expr
+    ) -> WholeStep:
+        """See `Memory`."""
+        n, S0 = range(len(self._times)), values["S"]
+        e, f = [numbers[i] for i in n], [numbers[len(n) + i] for i in n]
+        h = [values[name] for name in self._names]
+        H = sum((w * (e[i] * h[i] - f[i] * S0) for i, w in enumerate(self._ratios)), 0 * S0)
+        law = self.over_step({"H": H}, step)
+        stress = law.stress(F)
+        S = law.second(F)
+        at_end = {name: e[i] * h[i] + f[i] * (S - S0) for i, name in enumerate(self._names)}
+        return WholeStep(stress, law.branch_stress(F), {"S": S, **at_end})
 
     def _account(
         self, values: Values, found: Values, dt: float, rows: slice, change: FloatArray
@@ -408,6 +427,31 @@ class LinearRelaxation(Relaxation):
         account = self._account_of(dt)
         of_change = {n: float(self._ratios @ getattr(account, n)[2]) for n in ("lost", "stored")}
         return {**super().step(dt, passes=passes), **of_change}
+
+    def numbers(self, dt: float) -> FloatArray:
+        """See `Memory`: e and f, and the factors of `_Account`, with the weights where they sum."""
+        account, w = self._account_of(dt), self._ratios
+        (a, b, c), (k, m) = w * account.lost, w * account.missed
+        of_branches = [super().numbers(dt), a, b, k, (2 * account.stored).ravel()]
+        return np.concatenate([*of_branches, [c.sum(), m.sum()]])
+
+    def whole_step(
+        self, F: Expr, values: Mapping[str, Expr], step: Mapping[str, Expr], numbers: Expr
+    ) -> WholeStep:
+        """See `Memory`, and `_account`."""
+        whole, count = super().whole_step(F, values, step, numbers), len(self._times)
+        E = infinitesimal_strain(F)
+        change, d = whole.at_end["S"] - values["S"], E - values["E"]
+        dd = ufl.inner(change, d)
+        lost, missed = values["lost"] + numbers[8 * count] * dd, numbers[8 * count + 1] * dd
+        at_end = {**whole.at_end, "E": E}
+        for i, (h, stored) in enumerate(zip(self._names, self._stored, strict=True)):
+            a, b, k, one, two, three = (numbers[n * count + i] for n in range(2, 8))
+            ed, q = ufl.inner(values[h], d), values[stored]
+            lost += a * q + b * ed
+            missed += k * ed
+            at_end[stored] = one * q + two * ed + three * dd
+        return WholeStep(whole.stress, None, {**at_end, "lost": lost, "missed": missed})
 
     def tell(self, values: Values, dt: float) -> Values:
         """See `Memory`.

@@ -11,6 +11,7 @@ from dolfinx import fem, la
 from dolfinx.cpp.fem import pack_coefficients, pack_constants
 
 from dolfin_elastic.core.types import FloatArray, IndexArray
+from dolfin_elastic.problem.history.fused import FusedSteps
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.problem.term import Term
 from dolfin_elastic.solvers.assembly.assembler import in_cells
@@ -30,15 +31,22 @@ class Forces:
         vector: Receives the forces [N], ghosts included.
         points: What the forces of loads that are in no form are multiplied by; below 0 those of
             restraints, too.
+        steps: Add the forces of materials that remember, which are not in `work`.
 
     Attributes:
         owned: The forces at owned entries [N].
     """
 
     def __init__(
-        self, problem: Problem, work: ufl.Form, vector: la.Vector, *, points: float = 0.0
+        self,
+        problem: Problem,
+        work: ufl.Form,
+        vector: la.Vector,
+        *,
+        points: float = 0.0,
+        steps: FusedSteps | None = None,
     ) -> None:
-        self._vector, self._array = vector, vector.array
+        self._vector, self._array, self._steps = vector, vector.array, steps
         self.owned = self._array[: problem.u.x.index_map.size_local * problem.u.x.block_size]
         terms = problem.terms if points else []
         nodal = [term for term in terms if term.nodal]
@@ -77,6 +85,8 @@ class Forces:
         digest = blake2b()
         values = [] if self._cells is None else [self._cells.constants]
         values += [field.x.array for field in self._fields]
+        if self._steps is not None:
+            values += self._steps.given()
         if self._others is not None:
             values += self._others.given()
         if self._in_no_form:
@@ -91,9 +101,15 @@ class Forces:
             self._others.pack_again()
         self.renew()
 
-    def assemble(self) -> FloatArray:
-        """`owned` at the present displacement, summed over the ranks. Collective."""
+    def assemble(self, *, accept: bool = False) -> FloatArray:
+        """`owned` at the present displacement, summed over the ranks. Collective.
+
+        Args:
+            accept: The displacement is that of the end of a step, see `FusedSteps`.
+        """
         self._array.fill(0.0)
+        if self._steps is not None:
+            self._steps.add_forces(self._array, accept=accept)
         if self._cells is not None:
             self._cells.add_to(self._array, self._constants)
         if self._others is not None:

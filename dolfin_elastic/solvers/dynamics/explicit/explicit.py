@@ -95,7 +95,7 @@ class Explicit:
         problem, v, a = self.problem, self.v, self.assembler
         problem.set_time(0.0)  # what is packed below are the loads of motion
         if problem.history is not None:
-            problem.history.begin()
+            problem.history.begin(fused=True)
         self._monitor, self.mass = StabilityMonitor(problem, a), lumped(problem, a)
         self._supports, self._last = SupportForces(a), StateCopy()
         self.size = StepSize(problem, a, self.mass, chosen=dt, safety=safety)

@@ -25,6 +25,7 @@ from dolfin_elastic.core import timing
 from dolfin_elastic.core.errors import FormulaError, InputError
 from dolfin_elastic.core.types import AnyArray, FloatArray
 from dolfin_elastic.problem.problem import Problem
+from dolfin_elastic.problem.weak_form import weak_form_without_memory
 from dolfin_elastic.solvers.assembly.assembler import Assembler
 from dolfin_elastic.solvers.assembly.nodal_forces import Forces
 from dolfin_elastic.solvers.dynamics.work import ExternalWork, supports_move
@@ -157,9 +158,13 @@ class ExplicitScheme(ABC):
         self.problem, self.mass, self._velocity = assembler.problem, mass, v
         self._work, self._end, self._chosen = work, end, chosen
         self.a = fem.Function(self.problem.V, name="acceleration")
-        residual = assembler.residual
-        self._forces = Forces(self.problem, residual.work, residual.vector, points=-1.0)
-        self._supports_move, self._history = supports_move(self.problem), self.problem.history
+        residual, self._history = assembler.residual, self.problem.history
+        steps = None if self._history is None else self._history.fused
+        work = residual.work
+        if steps is not None:
+            work = weak_form_without_memory(self.problem.weak_form).residual
+        self._forces = Forces(self.problem, work, residual.vector, points=-1.0, steps=steps)
+        self._supports_move = supports_move(self.problem)
         self._timed = changes(self.problem) or self._history is not None
         self._imposed = self._supports_move or self.problem.constraints.skewed
         arrays = self.problem.u.x.array, v.x.array, assembler.residual.vector.array
@@ -242,7 +247,7 @@ class ExplicitScheme(ABC):
         middle = perf_counter()
         timing.add("solve", middle - begin)
         self.update_dashpots()
-        self.assemble_forces()
+        self.assemble_forces(accept=True)
         if self._work.paths:
             self._work.step(du)
         timing.add("assemble", perf_counter() - middle)
@@ -285,12 +290,18 @@ class ExplicitScheme(ABC):
             seen.array[: len(self.velocity)] = self.velocity
             seen.scatter_forward()
 
-    def assemble_forces(self) -> None:
-        """Forces out of balance at the present displacement and time."""
+    def assemble_forces(self, *, accept: bool = False) -> None:
+        """Forces out of balance at the present displacement and time.
+
+        Args:
+            accept: See `Forces.assemble`.
+        """
+        if not accept:
+            self.settle()
         if self._timed:
             self._forces.renew()
             self._work.update_time()
-        self._forces.assemble()
+        self._forces.assemble(accept=accept)
 
     def fingerprint(self) -> bytes:
         """See `Forces.fingerprint`."""

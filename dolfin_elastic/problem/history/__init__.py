@@ -1,0 +1,1 @@
+"""What a body remembers of its past, where its materials do."""
