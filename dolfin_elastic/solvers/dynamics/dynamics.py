@@ -18,7 +18,7 @@ from dolfin_elastic.model.tie import EXPLICIT_TIES, IMPLICIT
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.problem.state import RestartState, SavedState, State
 from dolfin_elastic.problem.term_list import refuse_motion
-from dolfin_elastic.solvers.dynamics.explicit.explicit import Explicit
+from dolfin_elastic.solvers.dynamics.explicit.explicit import Explicit, ExplicitOptions
 from dolfin_elastic.solvers.dynamics.implicit.implicit import Implicit, conserving
 from dolfin_elastic.solvers.dynamics.initial_conditions import set_initial
 from dolfin_elastic.solvers.dynamics.schemes import ExplicitRow
@@ -184,8 +184,22 @@ class Dynamics(Marching):
             return Implicit(problem, velocity, s, self.linear, self.petsc)
         for name in self.petsc:
             log.warning("PETSc option '-%s' was not used: '%s' solves no equations", name, s.scheme)
+        bulk = s.bulk_viscosity
+        options = ExplicitOptions(
+            mass_scaling=s.mass_scaling or 0.0,
+            rate=s.damping.get("mass", 0.0),
+            bulk=None if bulk is None else (bulk.linear, bulk.quadratic),
+        )
+        scheme, every = s.row.scheme, s.every
         return Explicit(
-            problem, velocity, s.row.scheme, end=s.end, dt=s.dt, safety=s.safety, every=s.every
+            problem,
+            velocity,
+            scheme,
+            end=s.end,
+            dt=s.dt,
+            safety=s.safety,
+            every=every,
+            options=options,
         )
 
 

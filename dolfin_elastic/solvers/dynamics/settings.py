@@ -77,6 +77,23 @@ class Rayleigh(Record):
         return {"mass": value[0], "stiffness": value[1]}
 
 
+class BulkViscosityFactors(Record):
+    """Bulk viscosity, see `problem.bulk_viscosity`; true stands for the usual factors.
+
+    Attributes:
+        linear: b1, by default 0.06.
+        quadratic: b2, by default 1.2.
+    """
+
+    linear: float = Field(default=0.06, ge=0)
+    quadratic: float = Field(default=1.2, ge=0)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _short(cls, value: object) -> object:
+        return {} if value is True else value
+
+
 MOST_STEPS = 1e9
 """Time steps that anybody means, and that TS counts."""
 
@@ -135,7 +152,12 @@ class DynamicsSettings(Record):
             there are obstacles, if the energy of all materials is conserved.
         beta: Of Newmark's method; (gamma + 1/2)^2/4 by default.
         gamma: Of Newmark's method; 1/2 by default, more damps.
-        rayleigh: Damping of the whole body (implicit schemes).
+        rayleigh: Damping of the whole body; of explicit schemes only "central-differences" knows
+            it, and only the factor of the mass.
+        bulk_viscosity: Pressure against the rate of volume, which smears shocks
+            ("central-differences").
+        mass_scaling: Largest fraction of the body's mass that may be added at nodes of thin
+            elements (explicit schemes): for dt, or for a step as long as that permits.
         preload: The motion starts from the equilibrium under what acts at t = 0; without, from the
             undeformed body.
         start: The state that it starts from, of other results or of the mesh's file; an
@@ -162,6 +184,8 @@ class DynamicsSettings(Record):
     beta: float | None = Field(default=None, gt=0)
     gamma: float | None = Field(default=None, ge=0.5)
     rayleigh: Rayleigh | None = None
+    bulk_viscosity: BulkViscosityFactors | None = None
+    mass_scaling: float | None = Field(default=None, gt=0, le=1)
     preload: bool = False
     start: MotionStart | None = None
     initial_displacement: list[Any] = Field(default=[])
@@ -189,6 +213,14 @@ class DynamicsSettings(Record):
             what = "the displacement is that of `start`"
             rule = UnusedKeys(["initial_displacement"], what, "leave one of them out")
             refuse_unused_keys(self, [rule])
+        if not self.implicit and self.rayleigh is not None and self.rayleigh.stiffness > 0:
+            raise InputError(
+                "explicit schemes damp by the mass alone: damping by the stiffness makes the "
+                "stable step too short",
+                where="rayleigh.stiffness",
+                expected="rayleigh = [a, 0], with bulk_viscosity against shocks, or "
+                '"generalized-alpha"',
+            )
         if self.dt is None and self.implicit:
             raise InputError(
                 "this key is missing",
@@ -353,6 +385,16 @@ def _unused_by_implicit(s: DynamicsSettings, scheme: str) -> Iterator[UnusedKeys
         f"{scheme} does not use the stable step",
         f"leave it out; it is for {explicit}",
     )
+    yield UnusedKeys(
+        ["mass_scaling"],
+        f"{scheme} does not use the stable step",
+        f"leave it out; it is for {explicit}",
+    )
+    yield UnusedKeys(
+        ["bulk_viscosity"],
+        f"{scheme} has no bulk viscosity",
+        'leave it out; it is for "central-differences"',
+    )
     if not s.adaptive:
         yield UnusedKeys(
             ["tolerance"],
@@ -371,7 +413,11 @@ def _unused_by_explicit(s: DynamicsSettings, scheme: str, leave: str) -> Iterato
         )
     yield UnusedKeys(["tolerance"], f"{scheme} has no estimate of its error", "leave it out")
     yield UnusedKeys(["rtol", "atol", "max_iterations"], f"{scheme} solves no equations", leave)
-    yield UnusedKeys(["rayleigh"], f"{scheme} has no rayleigh damping", leave)
+    assert not s.row.implicit
+    if not s.row.scheme.damps:
+        instead = f'{leave}, or "central-differences"'
+        yield UnusedKeys(["rayleigh"], f"{scheme} has no rayleigh damping", instead)
+        yield UnusedKeys(["bulk_viscosity"], f"{scheme} has no bulk viscosity", instead)
     yield UnusedKeys(["times"], f"{scheme} meets no times exactly", leave)
     if s.dt is not None:
         yield UnusedKeys(

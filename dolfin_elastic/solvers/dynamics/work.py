@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from functools import partial
+from typing import Protocol
 
 import numpy as np
 import ufl
@@ -27,6 +28,14 @@ from dolfin_elastic.solvers.assembly.nodal_forces import Forces as NodalForces
 from dolfin_elastic.solvers.audit.equilibrium import EnergyBook
 from dolfin_elastic.solvers.dynamics.implicit.volume_constraint import PressureEnergy
 from dolfin_elastic.solvers.dynamics.residual import DynamicResidual, Forces
+
+
+class Damper(Protocol):
+    """Damping whose work is summed up."""
+
+    def take(self) -> float:
+        """This rank's share of the work since the last call [J]. Not collective."""
+
 
 Measures = tuple[dict[str, float], dict[str, FloatArray]]
 """Energies [J] by name, and momenta by name: "linear" [kg m/s], "angular" [kg m^2/s]."""
@@ -332,6 +341,8 @@ class ExternalWork:
     Attributes:
         sum: The work at the last state asked for [J].
         friction: What friction has taken up until then [J], see `EnergyBalance`.
+        damping: What damping has [J].
+        damper: Sums that up; None without.
         paths: Work that is summed up step by step.
     """
 
@@ -360,6 +371,8 @@ class ExternalWork:
         for term in problem.terms:
             if term.pose is not None and not term.at_rest:
                 self._add_term(term)
+        self.damper: Damper | None = None
+        self.damping = 0.0
         self._rubs = problem.terms.dissipates
         for term in problem.terms:
             if term.dissipates:
@@ -390,13 +403,17 @@ class ExternalWork:
         forces = self._forces[-1].assemble
         self.paths.append(_Path(forces, obstacle, self._middle, past=past))
 
-    def begin(self, work: float = 0.0, friction: float = 0.0) -> None:
+    def begin(self, work: float = 0.0, friction: float = 0.0, damping: float = 0.0) -> None:
         """Takes in the state that the next step begins with. Collective.
 
         Args:
             work: Done so far [J].
             friction: What friction has taken up so far [J].
+            damping: What damping has [J].
         """
+        self.damping = damping
+        if self.damper is not None:
+            self.damper.take()
         self.sum, self.friction, self._local, self._rubbed = work, friction, 0.0, 0.0
         self._stored = springs_of_friction(self._problem)
         if self._steady:
@@ -417,7 +434,7 @@ class ExternalWork:
         """
         for forces in self._forces:
             forces.pack_again()
-        self.begin(self.sum, self.friction)
+        self.begin(self.sum, self.friction, self.damping)
 
     def step(self, du: FloatArray) -> None:
         """Adds the work of a step that has led to the present state. Collective.
@@ -440,12 +457,16 @@ class ExternalWork:
         if self._rubs:
             before, self._stored = self._stored, springs_of_friction(self._problem)
             self.friction += total(comm, self._rubbed) + before - self._stored
+        if self.damper is not None:
+            self.damping += total(comm, self.damper.take())
         self._local, self._rubbed, self._before = 0.0, 0.0, now
         return self.sum
 
     def energies(self, kinetic: float, stored: float) -> dict[str, float]:
         """See `Work`. Collective."""
         result = {"external": self.close()}
+        if self.damper is not None:
+            result["damping"] = self.damping
         return {**result, "friction": self.friction} if self._rubs else result
 
     def _of_state(self) -> float:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from math import ceil, floor
 from time import monotonic
 
@@ -14,10 +14,14 @@ from mpi4py import MPI
 from dolfin_elastic.core.errors import StabilityError
 from dolfin_elastic.core.parallel import largest
 from dolfin_elastic.core.signals import raise_if_agreed, stop_agreed, watched
+from dolfin_elastic.core.types import FloatArray
+from dolfin_elastic.problem.bulk_viscosity import BulkViscosity
 from dolfin_elastic.problem.problem import Problem, results_of
 from dolfin_elastic.problem.state import RestartState, SavedState, State, StateCopy, restoring
 from dolfin_elastic.solvers.assembly.assembler import Assembler, SupportForces
 from dolfin_elastic.solvers.assembly.energy_momentum import LumpedMass, lumped
+from dolfin_elastic.solvers.dynamics.explicit.damper import Damper
+from dolfin_elastic.solvers.dynamics.explicit.mass_scaling import scaled
 from dolfin_elastic.solvers.dynamics.explicit.monitor import StabilityMonitor
 from dolfin_elastic.solvers.dynamics.explicit.replay import Replay
 from dolfin_elastic.solvers.dynamics.explicit.scheme import END, ExplicitScheme
@@ -51,6 +55,33 @@ def _due_between(comm: MPI.Comm, shown: float) -> bool:
     return largest(comm, float(comm.rank == 0 and monotonic() - shown >= BETWEEN)) > 0
 
 
+@dataclass(frozen=True)
+class ExplicitOptions:
+    """What is added to an explicit motion.
+
+    Attributes:
+        mass_scaling: Largest fraction of the mass that may be added, see `mass_scaling`; 0: none.
+        rate: Forces of damping over those of inertia at an acceleration of the velocity over 1 s:
+            Rayleigh's factor of the mass [1/s].
+        bulk: b1 and b2 of `bulk_viscosity`; None: none.
+    """
+
+    mass_scaling: float = 0.0
+    rate: float = 0.0
+    bulk: tuple[float, float] | None = None
+
+    def damper(self, problem: Problem, assembler: Assembler, mass: FloatArray) -> Damper | None:
+        """None without damping. Collective.
+
+        Args:
+            mass: Lumped mass at every owned entry [kg].
+        """
+        if not self.rate and self.bulk is None:
+            return None
+        bulk = None if self.bulk is None else BulkViscosity(problem, *self.bulk)
+        return Damper(problem, assembler, mass, rate=self.rate, bulk=bulk)
+
+
 class Explicit:
     """An explicit motion of one problem. Collective.
 
@@ -60,6 +91,7 @@ class Explicit:
         dt: Time step [s]; None for the stable step times `safety`.
         every: Steps from one yielded state to the next, or time [s]: the first state at or after
             each multiple; 0: about `STATES` in all.
+        options: Damping and added mass; by default none.
 
     Attributes:
         scheme: Takes the steps.
@@ -81,29 +113,44 @@ class Explicit:
         dt: float | None,
         safety: float,
         every: int | float = 0,
+        options: ExplicitOptions | None = None,
     ) -> None:
         self.problem, self.v, self.end = problem, v, end
         self.assembler = Assembler(problem)
         try:
-            self._prepare(scheme, dt, safety)
+            self._prepare(scheme, dt, safety, options or ExplicitOptions())
         except Exception:  # the same on all ranks: nobody else can free the matrix
             self.destroy()
             raise
         self.every = every or max(1, ceil(end / self.size.dt / STATES))
 
-    def _prepare(self, scheme: type[ExplicitScheme], dt: float | None, safety: float) -> None:
+    def _prepare(
+        self,
+        scheme: type[ExplicitScheme],
+        dt: float | None,
+        safety: float,
+        options: ExplicitOptions,
+    ) -> None:
         problem, v, a = self.problem, self.v, self.assembler
         problem.set_time(0.0)  # what is packed below are the loads of motion
         if problem.history is not None:
             problem.history.begin(fused=True)
         self._monitor, self.mass = StabilityMonitor(problem, a), lumped(problem, a)
+        self._numbers: dict[str, float] = {}
+        if options.mass_scaling:
+            found = scaled(problem, a, self.mass, most=options.mass_scaling, dt=dt)
+            self.mass, self._numbers = found.mass, found.numbers
+        self._damper = options.damper(problem, a, self.mass)
         self._supports, self._last = SupportForces(a), StateCopy()
-        self.size = StepSize(problem, a, self.mass, chosen=dt, safety=safety)
+        self.size = StepSize(problem, a, self.mass, chosen=dt, safety=safety, damper=self._damper)
         self.work = ExternalWork(problem, a, self.mass, v)
         self._energies = MotionBook(problem, LumpedMass(problem, v, self.mass), self.work.energies)
         self.size.begin(self.end)
         first = min(self.size.dt, self.end)
-        self.scheme = scheme(a, self.mass, v, self.work, end=self.end, dt=first, chosen=dt)
+        self.work.damper = self._damper
+        self.scheme = scheme(
+            a, self.mass, v, self.work, end=self.end, dt=first, chosen=dt, damper=self._damper
+        )
 
     # --- the loop ---
 
@@ -132,6 +179,7 @@ class Explicit:
         self.scheme.assemble_forces()
         self.scheme.commit()  # the body is strained suddenly, at the start
         self.work.begin()
+        self.scheme.begin_damping()
         self.scheme.start()
         first = self._checked_state()
         self._drifts(first)
@@ -175,6 +223,7 @@ class Explicit:
             self.work.close()
         self.scheme.renew_forces()
         self.work.renew()
+        self.scheme.begin_damping()
         if not state.between:
             self.scheme.start()
             self._monitor.loads_changed(self.scheme.conserved_excess(dt) - excess)
@@ -289,7 +338,8 @@ class Explicit:
             moments=moments,
             momenta=momenta,
             max_displacement=self.assembler.max_displacement(),
-            numbers=results_of(self.problem, a.residual.owned[a.displacement_dofs] + inertia),
+            numbers=results_of(self.problem, a.residual.owned[a.displacement_dofs] + inertia)
+            | self._numbers,
             done=scheme.t / self.end,
         )
 
@@ -304,6 +354,7 @@ class Explicit:
             "every": self.every,
             "work": self.work.sum,
             "friction": self.work.friction,
+            "damping": self.work.damping,
             "lookout": self._monitor.restart_state(),
             **self.size.restart_state(),
         }
@@ -316,7 +367,8 @@ class Explicit:
     def _fields(self) -> dict[str, fem.Function]:
         fields = {"displacement": self.problem.u, "velocity": self.v, "rates": self.size.field}
         fields |= self.problem.terms.past
-        if self.problem.dashpots:  # their velocity is that of half a step before
+        sees = self._damper is not None and self._damper.sees_velocity
+        if self.problem.dashpots or sees:  # their velocity is that of half a step before
             fields["dashpots"] = self.problem.context.velocity
         return fields
 
@@ -333,7 +385,9 @@ class Explicit:
         self.size.restore(numbers)
         remaining = float(numbers.get("remaining", 0.0))  # older checkpoints are all of states
         self.scheme.resume(float(numbers["t"]), int(numbers["step"]), remaining)
-        self.work.begin(float(numbers["work"]), float(numbers.get("friction", 0.0)))
+        lost = (float(numbers.get(name, 0.0)) for name in ("friction", "damping"))
+        self.work.begin(float(numbers["work"]), *lost)
+        self.scheme.begin_damping()
 
     def destroy(self) -> None:
         """Frees what it owns. Collective."""

@@ -107,7 +107,8 @@ class StabilityMonitor:
         """
         if self._problem.eigenstrains:  # what grows or is heated stores energy without work
             return False
-        gained = energies["total"] + energies.get("friction", 0.0) - energies["external"]
+        lost = energies.get("friction", 0.0) + energies.get("damping", 0.0)
+        gained = energies["total"] + lost - energies["external"]
         now = np.array([gained, gained + total(self._problem.body.comm, conserved_excess)])
         if self._first is None:
             self._first, self._start = now, float(now[1])

@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from time import perf_counter
+from typing import ClassVar
 
 import numpy as np
 from dolfinx import fem
@@ -28,6 +29,7 @@ from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.problem.weak_form import weak_form_without_memory
 from dolfin_elastic.solvers.assembly.assembler import Assembler
 from dolfin_elastic.solvers.assembly.nodal_forces import Forces
+from dolfin_elastic.solvers.dynamics.explicit.damper import Damper
 from dolfin_elastic.solvers.dynamics.work import ExternalWork, supports_move
 
 
@@ -128,8 +130,10 @@ class ExplicitScheme(ABC):
         end: When the motion ends [s].
         dt: First step [s].
         chosen: The user's step, which all steps but the last have [s]; None: steps change.
+        damper: None without damping, which only schemes that `damps` know.
 
     Attributes:
+        damps: The scheme knows damping.
         a: Acceleration [m/s^2], after `start` or `synchronise`.
         t: Time [s].
         steps: Number of steps done.
@@ -143,6 +147,7 @@ class ExplicitScheme(ABC):
     """
 
     remaining = 0.0
+    damps: ClassVar[bool] = False
 
     def __init__(
         self,
@@ -154,7 +159,9 @@ class ExplicitScheme(ABC):
         end: float,
         dt: float,
         chosen: float | None,
+        damper: Damper | None = None,
     ) -> None:
+        self._damper = damper
         self.problem, self.mass, self._velocity = assembler.problem, mass, v
         self._work, self._end, self._chosen = work, end, chosen
         self.a = fem.Function(self.problem.V, name="acceleration")
@@ -189,6 +196,26 @@ class ExplicitScheme(ABC):
             InputError: It cannot compute this problem.
         """
         check_explicit(problem, name)
+
+    def kick(self, dt: float) -> None:
+        """Sets `change` to that of the present forces.
+
+        Args:
+            dt: The step [s].
+        """
+        np.multiply(self.out_of_balance, self._factor, out=self.change)
+        self.change *= self.kick_duration(dt)
+
+    def _at_forces(self) -> FloatArray:
+        """The velocity at the time of the forces, with damping."""
+        assert self._damper is not None
+        acceleration = self.out_of_balance * self._factor
+        return self._damper.at_forces(self.velocity, acceleration, self.remaining)
+
+    def begin_damping(self) -> None:
+        """What is lost by damping is summed up from the present state on."""
+        if self._damper is not None:
+            self._damper.begin(self._at_forces())
 
     # --- what the schemes differ in ---
 
@@ -231,8 +258,7 @@ class ExplicitScheme(ABC):
         # Not before: a motion that is restarted has the forces of what the state remembers.
         self.problem.terms.advance()
         v, change, du = self.velocity, self.change, self._du
-        np.multiply(self.out_of_balance, self._factor, out=change)
-        change *= self.kick_duration(dt)
+        self.kick(dt)
         self.steps += 1
         self.t = self._without_round_off(self.t + dt)
         if self._timed:
@@ -250,6 +276,8 @@ class ExplicitScheme(ABC):
         self.assemble_forces(accept=True)
         if self._work.paths:
             self._work.step(du)
+        if self._damper is not None:
+            self._damper.step(self._at_forces(), du)
         timing.add("assemble", perf_counter() - middle)
         self.commit(settle=False)
 
@@ -285,7 +313,7 @@ class ExplicitScheme(ABC):
 
     def update_dashpots(self) -> None:
         """Gives dashpots the velocity, which may be that of half a step before."""
-        if self.problem.dashpots:
+        if self.problem.dashpots or (self._damper is not None and self._damper.sees_velocity):
             seen = self.problem.context.velocity.x
             seen.array[: len(self.velocity)] = self.velocity
             seen.scatter_forward()
@@ -302,6 +330,8 @@ class ExplicitScheme(ABC):
             self._forces.renew()
             self._work.update_time()
         self._forces.assemble(accept=accept)
+        if self._damper is not None:
+            self._damper.add_to(self.out_of_balance)
 
     def fingerprint(self) -> bytes:
         """See `Forces.fingerprint`."""
@@ -320,6 +350,8 @@ class ExplicitScheme(ABC):
             interval: From the time of the velocity to the middle of the velocity's next step [s].
         """
         np.multiply(self.out_of_balance, self._factor, out=self.change)
+        if self._damper is not None:
+            self.change -= self._damper.rate * self._at_forces()
         if self._imposed:
             driven = mean_acceleration(self.problem, self._velocity, self.t, self.dt, interval)
             self.problem.constraints.impose(self.change, driven)
@@ -381,6 +413,18 @@ class CentralDifferences(ExplicitScheme):
     States have velocity and acceleration of their own time; where a support moves, they are the
     differences of its displacements before and after.
     """
+
+    damps = True
+
+    def kick(self, dt: float) -> None:
+        """See `ExplicitScheme`; with damping see `damper`."""
+        if self._damper is None or self._damper.rate == 0.0:
+            super().kick(dt)
+            return
+        v, self.remaining = self._at_forces(), dt / 2
+        np.multiply(self.out_of_balance, self._factor, out=self.change)
+        self.change *= self.remaining
+        self.change += (1 - self._damper.rate * self.remaining) * v - self.velocity
 
     def kick_duration(self, dt: float) -> float:
         """See `ExplicitScheme`."""

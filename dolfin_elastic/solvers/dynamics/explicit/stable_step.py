@@ -20,6 +20,7 @@ from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.problem.term_list import forms_of
 from dolfin_elastic.solvers.assembly.assembler import Assembler
 from dolfin_elastic.solvers.diagnostics.negative_curvature import start_vector
+from dolfin_elastic.solvers.dynamics.explicit.damper import Damper
 from dolfin_elastic.solvers.dynamics.explicit.frequency_bound import (
     FrequencyBound,
     extremes,
@@ -72,6 +73,7 @@ class StepSize:
         mass: Lumped mass at every owned entry [kg].
         chosen: The user's step [s]; None: the stable step times `safety`.
         safety: Share of the stable step that is taken.
+        damper: Bulk viscosity shortens the stable step; None: there is none.
 
     Attributes:
         stable: The stable step at the last check [s].
@@ -89,8 +91,10 @@ class StepSize:
         *,
         chosen: float | None,
         safety: float,
+        damper: Damper | None = None,
     ) -> None:
         self._problem, self._assembler, self._mass = problem, assembler, mass
+        self._damper, self._viscous = damper, 0.0
         self._chosen = chosen
         self._contact = problem.terms.opens
         self._safety = min(safety, RESONANCE) if self._contact else safety
@@ -147,8 +151,14 @@ class StepSize:
         With dashpots at the old velocity, z^2 - (2 - h c/m - h^2 omega^2) z + 1 - h c/m has no root
         beyond -1 up to h = 4/(c/m + sqrt((c/m)^2 + 4 omega^2)), which is 2/omega without them.
         """
-        below = self._drag + np.sqrt(self._drag**2 + 4 * square)
+        drag = self._drag + self._viscous
+        below = drag + np.sqrt(drag**2 + 4 * square)
         return float(4 / below) if below > 0 else np.inf
+
+    def _find_viscosity(self) -> None:
+        """Finds the largest rate c/m of bulk viscosity, to the digits that ranks share."""
+        if self._damper is not None:
+            self._viscous = _same(self._damper.largest_rate())
 
     def _largest_row(self, bounds: Sequence[ufl.Form]) -> float:
         """Largest bound of a row of a matrix over its mass [1/s^2]. Collective.
@@ -170,6 +180,7 @@ class StepSize:
         Raises:
             InputError: The user's step is above the stable one.
         """
+        self._find_viscosity()
         self._find_frequency(0)
         self._least = self._square if self._unloads else 0.0
         if self._chosen is None:
@@ -233,7 +244,8 @@ class StepSize:
         Raises:
             StabilityError: The user's step is above the stable one now.
         """
-        if self._problem.linear:
+        self._find_viscosity()
+        if self._problem.linear and self._viscous == 0.0:
             self.next_check = step + CHECKS[1]  # it cannot have changed
             return
         before = self.stable
@@ -318,6 +330,7 @@ class StepSize:
             "due": self.next_check,
             "doubtful": self._bound_in_doubt,
             "least": self._least,
+            "viscous": self._viscous,
         }
 
     def restore(self, saved: Mapping[str, Any]) -> None:
@@ -326,6 +339,7 @@ class StepSize:
         self._found_at, self._interval = saved["found_at"], saved["interval"]
         self.next_check, self._bound_in_doubt = saved["due"], saved["doubtful"]
         self._least = float(saved.get("least", 0.0))
+        self._viscous = float(saved.get("viscous", 0.0))
         self.stable = self.step_for(self._square)
         if self._chosen is None:
             self._set_step()

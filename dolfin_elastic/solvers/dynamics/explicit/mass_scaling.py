@@ -1,0 +1,141 @@
+"""Mass that is added at nodes of thin cells, which would make the steps of a whole motion short.
+
+A node of mass m whose cells have the bound r of omega^2, see `FrequencyBound`, gets the mass m r/s,
+where r is above a rate s that is the same for all: then s bounds omega^2 of the body.  Without a
+step of the user's, s is as low as a limit of the added mass permits, but not below the median of r.
+
+The mass is added in all directions: it slows what moves there, and adds to the weight of nothing.
+A cell of altitude e h in a mesh of size h has a step of about sqrt(e) of the others, and needs 1/e
+times the mass of its nodes.
+
+Source: Abaqus 2016 Analysis User's Guide, section 11.6.1, Mass scaling; T. Belytschko, W. K. Liu,
+B. Moran, K. Elkhodary, Nonlinear Finite Elements for Continua and Structures, 2nd ed., Wiley 2014,
+section 6.2.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.core.parallel import largest_row, total
+from dolfin_elastic.core.types import FloatArray
+from dolfin_elastic.problem.problem import Problem
+from dolfin_elastic.solvers.assembly.assembler import Assembler
+from dolfin_elastic.solvers.dynamics.explicit.frequency_bound import FrequencyBound, extremes
+
+log = logging.getLogger("dolfin_elastic")
+
+MARGIN = 0.9
+"""The user's step over the one that is stable with the added mass: bodies become stiffer."""
+HALVINGS = 60
+"""Of an interval of rates: to the last digits."""
+
+
+class ScaledMass(NamedTuple):
+    """A mass with what is added to it.
+
+    Attributes:
+        mass: At every owned entry [kg].
+        numbers: Fraction that is added, and where most is, undeformed [m], by name.
+    """
+
+    mass: FloatArray
+    numbers: dict[str, float]
+
+
+def scaled(
+    problem: Problem, assembler: Assembler, mass: FloatArray, *, most: float, dt: float | None
+) -> ScaledMass:
+    """The mass with what is added to it. Collective.
+
+    It is that of the undeformed body, whatever state the motion starts from.
+
+    Args:
+        mass: Lumped mass at every owned entry [kg].
+        most: Largest fraction of the body's mass that may be added.
+        dt: The step that is to be stable [s]; None: as long as `most` permits.
+
+    Raises:
+        InputError: More would have to be added, or there is no bound by cells.
+    """
+    if not FrequencyBound.applies(problem):
+        raise InputError(
+            "mass is added by the frequencies of elements, which are not known in bodies of "
+            "revolution, in curved elements and under loads that follow the body",
+            where="dynamics.mass_scaling",
+            expected="leave it out",
+        )
+    u, dim = problem.u.x.array, problem.body.dim
+    state = u.copy()
+    u[:] = 0.0
+    rates, nodal = FrequencyBound(problem, assembler, mass).evaluate(), mass[::dim]
+    u[:] = state
+    comm, whole = problem.body.comm, total(problem.body.comm, float(nodal.sum()))
+
+    def added(rate: float) -> float:
+        """Fraction that bounds omega^2 by a rate."""
+        more = nodal * np.maximum(rates / rate - 1, 0.0)
+        return float(total(comm, float(more.sum()))) / whole
+
+    worst = extremes(comm, [float(rates.max(initial=0.0))])[0]
+    rate = _lowest(added, _median(problem, rates, worst), worst, most)
+    if dt is not None:
+        rate = (2 * MARGIN / dt) ** 2
+    # The same on any number of ranks.
+    rate = float(f"{rate:.9e}")
+    factor = np.maximum(rates / rate, 1.0)
+    fraction, count = added(rate), int(total(comm, int(np.sum(factor > 1.0))))
+    coordinates = problem.places[:, :dim]
+    row = largest_row(comm, factor, lambda rows: coordinates[rows])
+    place = "" if row is None else f", most at {problem.body.unit.point(row.place)}"
+    if fraction > most * (1 + 1e-6):
+        raise InputError(
+            f"{100 * fraction:.3g} % of the mass would have to be added at {count} nodes{place}, "
+            f"where steps of {2 / np.sqrt(worst):.2g} s are stable",
+            where="dynamics.mass_scaling",
+            expected="a shorter dt, a mesh without such thin elements, or "
+            f"mass_scaling = {fraction:.2g}",
+        )
+    if count:
+        log.info(
+            "mass scaling: %.3g %% of the mass is added at %d nodes%s, there %.3g times: "
+            "for steps of %.3g s in place of %.3g s",
+            100 * fraction,
+            count,
+            place,
+            0.0 if row is None else row.value - 1,
+            2 / np.sqrt(rate),
+            2 / np.sqrt(worst),
+        )
+    numbers = {"added_mass_fraction": fraction}
+    if count and row is not None:
+        numbers |= {f"added_mass_{x}": v for x, v in zip("xyz", row.place, strict=False)}
+    return ScaledMass(np.asarray(np.repeat(factor, dim) * mass), numbers)
+
+
+def _lowest(added: Callable[[float], float], least: float, worst: float, most: float) -> float:
+    """The lowest rate, from `least` to `worst`, for which no more than `most` is added."""
+    if added(least) <= most or worst <= least:
+        return least
+    low, high = np.log(least), np.log(worst)
+    for _ in range(HALVINGS):
+        middle = (low + high) / 2
+        low, high = (low, middle) if added(np.exp(middle)) <= most else (middle, high)
+    return float(np.exp(high))
+
+
+def _median(problem: Problem, rates: FloatArray, worst: float) -> float:
+    """The median of the nodes' rates, to a few digits. Collective."""
+    comm = problem.body.comm
+    count = int(total(comm, len(rates)))
+    low, high = -200.0, np.log(max(worst, 1e-200))
+    for _ in range(HALVINGS):
+        middle = (low + high) / 2
+        below = int(total(comm, int(np.sum(rates <= np.exp(middle)))))
+        low, high = (low, middle) if 2 * below >= count else (middle, high)
+    return float(np.exp(high))

@@ -1,0 +1,218 @@
+"""Damping and added mass in explicit motion: closed forms, energy, shocks, thin elements."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from dolfinx import fem
+from mpi4py import MPI
+
+from dolfin_elastic import (
+    Dynamics,
+    LinearElastic,
+    NeoHookean,
+    Problem,
+    Selector,
+    Support,
+    Traction,
+    box_body,
+    name_parts,
+)
+from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.core.parallel import largest, total
+from dolfin_elastic.mesh import Body
+from dolfin_elastic.mesh.distribute import make_mesh
+from dolfin_elastic.solvers.dynamics.explicit.explicit import Explicit, ExplicitOptions
+from dolfin_elastic.solvers.dynamics.explicit.scheme import CentralDifferences
+
+FREE, SCHEME = "free", "central-differences"
+E, NU, RHO = 1e7, 0.3, 1000.0
+STIFF = E * (1 - NU) / ((1 + NU) * (1 - 2 * NU))
+SPEED = np.sqrt(STIFF / RHO)
+OMEGA = np.sqrt(3) * SPEED
+"""Of the oscillator below: stiffness STIFF/2, lumped mass rho/6."""
+START = 1e-3
+
+
+def oscillator() -> Problem:
+    """A triangle whose only free component is u_x at (1, 0)."""
+    comm = MPI.COMM_WORLD
+    root = comm.rank == 0
+    cells = np.array([[0, 1, 2]] if root else np.empty((0, 3)), dtype=np.int64)
+    corners = np.array([[0.0, 0], [1, 0], [0, 1]]) if root else np.empty((0, 2))
+    body = name_parts(
+        Body(make_mesh(comm, cells, corners, 1)),
+        surfaces={"left": Selector(plane="x", at=0), "bottom": Selector(plane="y", at=0)},
+    )
+    supports = [
+        Support(on="bottom", displacement=[FREE, 0]),
+        Support(on="left", displacement=[0, 0]),
+    ]
+    return Problem(body, LinearElastic(E=E, nu=NU, density=RHO), supports=supports, degree=1)
+
+
+def end_of(problem: Problem, steps: int, end: float, **damping: Any) -> float:
+    """u_x at the free node at the end."""
+    moves = {"initial_displacement": [f"{START}*x", 0], "dt": end / steps, "every": steps}
+    *_, state = Dynamics(problem, scheme=SCHEME, end=end, **moves, **damping).steps()
+    return largest(problem.body.comm, float(np.max(state.u.x.array, initial=-1.0)))
+
+
+def exact(rate: float, t: float) -> float:
+    damped = np.sqrt(OMEGA**2 - rate**2 / 4)
+    swing = np.cos(damped * t) + rate / (2 * damped) * np.sin(damped * t)
+    return float(START * np.exp(-rate * t / 2) * swing)
+
+
+@pytest.mark.parametrize(
+    ("damping", "rate", "order"),
+    [
+        ({"rayleigh": [0.2 * OMEGA, 0]}, 0.2 * OMEGA, 2),
+        # s = b1 rho c L r of a cell of volume 1/2 and altitude 1/sqrt(2), on a mass of rho/6; the
+        # velocity half a step before makes it of first order.
+        ({"bulk_viscosity": {"linear": 0.06, "quadratic": 0}}, 3 * 0.06 * SPEED / 2**0.5, 1),
+    ],
+    ids=["mass", "bulk"],
+)
+def test_an_oscillator_follows_its_closed_form(damping: Any, rate: float, order: int) -> None:
+    end = 3.2 * 2 * np.pi / OMEGA
+    found = [abs(end_of(oscillator(), n, end, **damping) - exact(rate, end)) for n in (320, 1280)]
+    assert found[0] < 0.05 * START
+    assert np.log(found[0] / found[1]) / np.log(4) == pytest.approx(order, abs=0.1)
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        ExplicitOptions(rate=300.0),
+        ExplicitOptions(bulk=(0.06, 1.2)),
+        ExplicitOptions(0.0, 50.0, (0.1, 1.0)),
+    ],
+    ids=["mass", "bulk", "both"],
+)
+def test_the_balance_of_a_linear_body_closes(options: ExplicitOptions) -> None:
+    """What the scheme conserves falls by just what damping takes, to round-off."""
+    body = box_body(size=(1, 1, 1), cells=(3, 3, 2))
+    problem = Problem(body, LinearElastic(E=E, nu=NU, density=RHO), degree=1)
+    v = fem.Function(problem.V)
+    v.interpolate(lambda x: 0.1 * np.array([x[0] * x[1], -x[1] * x[2], x[2] ** 2]))
+    march = Explicit(
+        problem, v, CentralDifferences, end=0.02, dt=5e-5, safety=0.9, every=40, options=options
+    )
+    sums, lost = [], []
+    for state in march.run():
+        assert state.energies is not None
+        excess = total(body.comm, march.scheme.conserved_excess(5e-5))
+        lost.append(state.energies["damping"])
+        sums.append(state.energies["total"] + excess + lost[-1])
+    assert lost[0] == 0.0
+    assert np.all(np.diff(lost) > 0.0)
+    assert lost[-1] > 0.01 * sums[0]
+    assert sums == pytest.approx([sums[0]] * len(sums), rel=1e-11)
+    march.destroy()
+
+
+def shock(**damping: Any) -> tuple[float, float, float]:
+    """Largest velocity over the exact one while a wave is in a bar; energies lost and given."""
+    body, pressure = box_body(size=(1, 0.04, 0.04), cells=(50, 2, 2)), 1e3
+    supports = [Support(on="right", displacement=[0, FREE, FREE])]
+    supports += [Support(on=on, displacement=[FREE, 0, FREE]) for on in ("front", "back")]
+    supports += [Support(on=on, displacement=[FREE, FREE, 0]) for on in ("bottom", "top")]
+    law = LinearElastic(E=E, nu=0.0, density=RHO)
+    push = Traction(on="left", value=[pressure, 0, 0])
+    problem = Problem(body, law, supports=supports, loads=[push], degree=1)
+    c = np.sqrt(E / RHO)
+    *_, state = Dynamics(problem, scheme=SCHEME, end=0.7 / c, **damping).steps()
+    assert state.v is not None
+    assert state.energies is not None
+    most = largest(body.comm, float(np.max(state.v.x.array, initial=0.0)))
+    return most * RHO * c / pressure, state.energies.get("damping", 0.0), state.energies["external"]
+
+
+def test_bulk_viscosity_smears_a_shock() -> None:
+    """A wave in a bar that is pushed suddenly: v = p/(rho c) behind its front, without overshoot."""
+    rings, _, _ = shock()
+    smeared, lost, given = shock(bulk_viscosity={"linear": 0.3, "quadratic": 1.2})
+    usual, _, _ = shock(bulk_viscosity=True)
+    assert rings > 1.2
+    assert usual - 1 < 0.9 * (rings - 1)
+    assert smeared - 1 < 0.5 * (rings - 1)
+    assert 0.0 < lost < 0.2 * given
+
+
+def thin(altitude: float) -> Body:
+    """A box with a vertex near the middle, over a face of a cell by a fraction of the mesh size."""
+    body = box_body(size=(1, 1, 1), cells=(4, 4, 4))
+    x = body.mesh.geometry.x
+    near = np.linalg.norm(x - 0.5, axis=1) < 1e-9
+    x[near] += (0.25 - 0.25 * altitude) * np.array([1.0, 0.0, 0.0])
+    return body
+
+
+def scaled(altitude: float, **keys: Any) -> tuple[Explicit, list[Any]]:
+    """A block that is set in motion, with its states."""
+    law = NeoHookean(E=E, nu=NU, density=RHO)
+    problem = Problem(thin(altitude), law, supports=[Support(on="left")], degree=1)
+    v = fem.Function(problem.V)
+    v.interpolate(lambda x: np.array([0 * x[0], x[0], 0 * x[0]]))
+    options = ExplicitOptions(mass_scaling=keys.pop("mass_scaling", 0.0))
+    march = Explicit(
+        problem,
+        v,
+        CentralDifferences,
+        end=0.02,
+        **{"dt": None, **keys},
+        safety=0.9,
+        options=options,
+    )
+    states = [(s.t, s.energies, s.numbers, s.max_displacement) for s in march.run()]
+    march.destroy()
+    return march, states
+
+
+def test_mass_of_a_thin_element() -> None:
+    """Steps are longer by what is added, no more than permitted; the motion hardly changes."""
+    plain, before = scaled(0.02)
+    march, states = scaled(0.02, mass_scaling=0.2)
+    numbers = states[-1][2]
+    assert 0.0 < numbers["added_mass_fraction"] <= 0.2 * (1 + 1e-6)
+    place = [numbers[f"added_mass_{x}"] for x in "xyz"]
+    assert np.linalg.norm(np.array(place) - [0.7, 0.5, 0.5]) < 0.4
+    assert march.size.stable > 2 * plain.size.stable
+    comm = plain.problem.body.comm
+    mass = [total(comm, float(one.mass[::3].sum())) for one in (plain, march)]
+    assert mass[1] / mass[0] - 1 == pytest.approx(numbers["added_mass_fraction"], rel=1e-9)
+    assert max(s[3] for s in states) == pytest.approx(max(s[3] for s in before), rel=0.1)
+    sums = [s[1]["total"] - s[1]["external"] for s in states]
+    assert sums == pytest.approx([sums[0]] * len(sums), rel=0.02)
+
+
+def test_mass_above_the_limit_is_refused() -> None:
+    plain, _ = scaled(0.02)
+    with pytest.raises(InputError, match=r"% of the mass would have to be added at \d+ nodes"):
+        scaled(0.02, mass_scaling=1e-4, dt=4 * plain.size.stable)
+    march, states = scaled(0.02, mass_scaling=1.0, dt=1.5 * plain.size.stable)
+    assert 0.0 < states[-1][2]["added_mass_fraction"] < 0.2
+    assert march.size.stable > 1.5 * plain.size.stable
+
+
+def test_without_thin_elements_steps_are_as_permitted() -> None:
+    """The limit is used up to the median of the nodes: a uniform mesh needs little."""
+    _, states = scaled(1.0, mass_scaling=0.01)
+    assert states[-1][2]["added_mass_fraction"] <= 0.01 * (1 + 1e-6)
+
+
+@pytest.mark.parametrize(
+    ("keys", "message"),
+    [
+        ({"scheme": SCHEME, "rayleigh": [1, 1e-5]}, "explicit schemes damp by the mass alone"),
+        ({"scheme": "symplectic-euler", "bulk_viscosity": True}, "has no bulk viscosity"),
+        ({"dt": 0.1, "bulk_viscosity": True}, "has no bulk viscosity"),
+        ({"dt": 0.1, "mass_scaling": 0.1}, "does not use the stable step"),
+    ],
+)
+def test_keys_of_other_schemes_are_refused(keys: Any, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        Dynamics(oscillator(), end=1.0, **keys)
