@@ -217,6 +217,7 @@ SHARED = {
     "solvers/dynamics/test_dynamics.py",
     "solvers/dynamics/test_initial_conditions.py",
     "solvers/diagnostics/test_rigid_body.py",
+    "solvers/eigen/test_lobpcg.py",
     "solvers/eigen/test_modal.py",
     "solvers/nonlinear/test_scalars.py",
     "solvers/statics/test_statics.py",

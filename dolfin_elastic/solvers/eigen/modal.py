@@ -330,5 +330,6 @@ class Vibration:
 
     def destroy(self) -> None:
         """Frees all matrices. Collective."""
+        self.spectrum.destroy()
         self.mass.destroy()
         self.assembler.destroy()

@@ -15,7 +15,7 @@ from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.model.amplitude import RAMP
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.problem.term_list import refuse_motion
-from dolfin_elastic.solvers.eigen.slepc import Pair, Pencil, uneven
+from dolfin_elastic.solvers.eigen.slepc import SPARE, Pair, Pencil, uneven
 
 log = logging.getLogger("dolfin_elastic")
 
@@ -24,9 +24,6 @@ GAP = 1e-4
 
 _OF_MODES = ("eps_", "st_", "bv_", "ds_")
 """How the names of SLEPc's options begin."""
-
-SPARE = 4
-"""Modes computed beyond the requested ones, so that there is a gap to count in."""
 
 
 def refuse(problem: Problem, table: str, *, loaded: bool) -> None:
@@ -144,7 +141,7 @@ def complete(
     Raises:
         ConvergenceError: Some are not found.
     """
-    pairs = spectrum.near(shift, count + SPARE, room=room, known=known)
+    pairs = spectrum.near(shift, count, spare=SPARE, room=room, known=known)
     for attempt in range(1, 6):
         values = np.array([pair.value for pair in pairs])
         if not len(values):
@@ -166,7 +163,7 @@ def complete(
             log.info("%d modes are missing: another search", missing)
             pairs += spectrum.near(shift, missing, room=left, known=vectors, seed=attempt)
         else:
-            more = spectrum.near(shift, 1, room=left, known=vectors, seed=attempt)
+            more = spectrum.near(shift, SPARE, room=left, known=vectors, seed=attempt, below=top)
             if not any(pair.value < top for pair in more):
                 log.info("checked for missed modes by a second search: none")
                 return pairs

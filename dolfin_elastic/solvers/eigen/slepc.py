@@ -1,10 +1,11 @@
-"""Eigenvalues of large symmetric pencils by SLEPc, and how many of them there are.
+"""Eigenvalues of large symmetric pencils by SLEPc or LOBPCG, and how many of them there are.
 
 Krylov-Schur iterations find the eigenvalues of A x = value B x that lie nearest to a shift, by
-solving with A - shift B.  B may be singular: prescribed displacements, and pressures without
-inertia, have infinite eigenvalues, which shift-and-invert maps to zero, so that none of them is
-ever found; SLEPc purges what is left of them from the vectors.  How many eigenvalues lie below a
-number follows from the signs of the pivots of A - number B, by Sylvester's law of inertia.
+solving with A - shift B; where that has no factors, `lobpcg` finds them.  B may be singular:
+prescribed displacements, and pressures without inertia, have infinite eigenvalues, which
+shift-and-invert maps to zero, so that none of them is ever found; SLEPc purges what is left of them
+from the vectors.  How many eigenvalues lie below a number follows from the signs of the pivots of
+A - number B, by Sylvester's law of inertia.
 
 Sources: G. W. Stewart, SIAM J. Matrix Anal. Appl. 23 (2002) 601; B. Nour-Omid, B. Parlett,
 T. Ericsson and P. Jensen, Math. Comp. 48 (1987) 663 (B singular); G. Golub and C. Van Loan, Matrix
@@ -13,6 +14,7 @@ Computations (2013), section 8.1.5 (inertia).
 
 from __future__ import annotations
 
+import logging
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
@@ -31,6 +33,7 @@ from dolfin_elastic.core.startup.slepc import SLEPc
 from dolfin_elastic.core.timing import stage
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.problem.problem import Problem
+from dolfin_elastic.solvers.eigen.lobpcg import Lobpcg, NotConvergedError, Preconditioned
 from dolfin_elastic.solvers.linear.choice import (
     BLOCKS,
     Choice,
@@ -48,8 +51,16 @@ DIRECT_LIMIT = {2: 600_000, 3: 100_000}
 """Unknowns up to which is factorised by default: more than in statics, for each of the factors
 serves some fifty solutions."""
 
+SPARE = 4
+"""Modes computed beyond the requested ones, so that there is a gap to count in."""
+
+BLOCK = 50
+"""Modes that LOBPCG looks for at once, at most: it has five vectors for each."""
+
 ROOM = 15
 """Krylov vectors beyond the number of requested modes, at least."""
+
+log = logging.getLogger("dolfin_elastic")
 
 INFINITE = 1e13
 """Distance from the shift, over that of the nearest eigenvalue, from which an eigenvalue counts as
@@ -58,7 +69,7 @@ infinite: more pressures than free displacements leave such ones, up to round-of
 
 @dataclass(frozen=True)
 class Pair:
-    """An eigenvalue and its vector: owned entries of all unknowns, of Euclidean norm 1."""
+    """An eigenvalue and its vector: owned entries of all unknowns, of any length."""
 
     value: float
     vector: FloatArray
@@ -87,7 +98,7 @@ def choose_eigen(problem: Problem, settings: LinearSettings) -> Choice:
         **BLOCKS,
     }
     name = grids(problem.degree)
-    detail = f"Krylov-Schur with shift and invert (SLEPc; CG, {name})"
+    detail = f"LOBPCG, {name}"
     return Choice(False, prefixed(options), f"{size}, iterative solver", detail)
 
 
@@ -225,22 +236,27 @@ class Pencil(ABC):
         count: int,
         *,
         room: int,
+        spare: int = 0,
         known: Sequence[FloatArray] = (),
         seed: int = 0,
+        below: float = np.inf,
     ) -> list[Pair]:
         """The eigenpairs next to a shift, in the order of their values. Collective.
 
         Args:
             shift: Below all values that are looked for: omega^2 [1/s^2], or a load factor.
             room: How many there are at all.
+            spare: How many more than `count`, which may be less accurate.
             known: Vectors that are found already, owned entries of each, orthogonal to each other
                 in the inner product of the solver.
+            seed: Number of a search, each of which begins with vectors of its own.
+            below: Values above it are not wanted, though there may be some.
 
         Raises:
             ConvergenceError: The solver has failed.
             StoppedError: See `solve`.
         """
-        count = min(count, room)
+        count = min(count + spare, room)
         if count < 1:
             return []
         eps = SLEPc.EPS().create(self.A.comm)
@@ -280,7 +296,7 @@ class Pencil(ABC):
         vector, pairs = self._vector(None), []
         for k in range(int(eps.getConverged())):
             value = complex(eps.getEigenpair(k, vector))
-            pairs.append((value, vector.array_r / float(vector.norm())))
+            pairs.append((value, np.array(vector.array_r)))
         vector.destroy()
         return pairs
 
@@ -292,7 +308,70 @@ class Pencil(ABC):
 
 
 class Spectrum(Pencil):
-    """Eigenvalues next to a shift by shift and invert; B is not negative. Collective."""
+    """Eigenvalues next to a shift; B is not negative. Collective; `destroy` it."""
+
+    _preconditioned: Preconditioned | None = None
+
+    def near(
+        self,
+        shift: float,
+        count: int,
+        *,
+        room: int,
+        spare: int = 0,
+        known: Sequence[FloatArray] = (),
+        seed: int = 0,
+        below: float = np.inf,
+    ) -> list[Pair]:
+        """See `Pencil`; without factors and options of the user by LOBPCG, if it converges."""
+        if not self.counted and not self.options.users:
+            try:
+                with stage("solve"), failing():
+                    return self._by_blocks(shift, count, room, spare, known, seed, below)
+            except NotConvergedError:
+                log.info("LOBPCG has not converged: Krylov-Schur with shift and invert instead")
+        return super().near(shift, count, room=room, spare=spare, known=known, seed=seed)
+
+    def _by_blocks(
+        self,
+        shift: float,
+        count: int,
+        room: int,
+        spare: int,
+        known: Sequence[FloatArray],
+        seed: int,
+        below: float,
+    ) -> list[Pair]:
+        """See `near`: `BLOCK` after `BLOCK`."""
+        pairs = list[Pair]()
+        while (wanted := min(count, room) - len(pairs)) > 0:
+            more = spare if wanted <= BLOCK else SPARE
+            size = min(wanted, BLOCK) + min(more, room - len(pairs) - min(wanted, BLOCK))
+            before = [*known, *(pair.vector for pair in pairs)]
+            block = Lobpcg(self._with_cycle(shift), size, known=before, seed=seed + len(pairs))
+            block.solve(min(wanted, BLOCK), self.tolerance, below)
+            kept = block.values < below
+            if wanted > BLOCK or spare == 0:
+                kept &= block.converged
+            values, vectors = block.values[kept], block.vectors()[kept]
+            pairs += [Pair(float(value), v) for value, v in zip(values, vectors, strict=True)]
+            if below < np.inf:
+                break
+        return sorted(pairs, key=lambda pair: pair.value)
+
+    def _with_cycle(self, shift: float) -> Preconditioned:
+        """The pencil with a multigrid, which is kept for the same shift. Collective."""
+        if self._preconditioned is None or self._preconditioned.shift != shift:
+            self.destroy()
+            matrix = self.A if shift == 0.0 else self.shifted(shift)
+            self._preconditioned = Preconditioned(self.problem, self.A, self.B, shift, matrix)
+        return self._preconditioned
+
+    def destroy(self) -> None:
+        """Frees the multigrid, not A and B. Collective."""
+        if self._preconditioned is not None:
+            self._preconditioned.destroy()
+        self._preconditioned = None
 
     def set_up(self, eps: SLEPc.EPS, shift: float, count: int, room: int) -> None:
         """See `Pencil`."""

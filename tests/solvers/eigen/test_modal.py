@@ -32,6 +32,7 @@ from dolfin_elastic import (
 )
 from dolfin_elastic.core.errors import ConvergenceError, InputError
 from dolfin_elastic.problem.state import Mode
+from dolfin_elastic.solvers.eigen import lobpcg
 from dolfin_elastic.solvers.eigen.modal import Vibration
 from dolfin_elastic.solvers.linear import choice
 from dolfin_elastic.solvers.linear.choice import LinearSettings
@@ -224,12 +225,13 @@ def test_body_of_revolution(comm: MPI.Comm) -> None:
 
 
 def test_iterations(comm: MPI.Comm) -> None:
-    """CG with multigrid finds what factors find, of a held body and of a free one."""
+    """CG with multigrid, which options of the user ask for, finds what factors find."""
     body = box_body(size=[2, 2, 1], cells=[2, 2, 1], comm=comm)
     for degree, supports in ((1, []), (2, LEFT)):
         problem = Problem(body, LinearElastic(**SOFT), supports=supports, degree=degree)
         direct = modes(problem, count=2)
-        slow = modes(problem, count=2, linear=LinearSettings(method="iterative"))
+        iterative = LinearSettings(method="iterative", petsc={"eps_type": "krylovschur"})
+        slow = modes(problem, count=2, linear=iterative)
         assert elastic(slow) == pytest.approx(elastic(direct), rel=1e-7)
         assert [mode.kind for mode in slow] == [mode.kind for mode in direct]
 
@@ -334,8 +336,12 @@ def test_not_found(comm: MPI.Comm, monkeypatch: pytest.MonkeyPatch) -> None:
     steel = Problem(strip(comm), LinearElastic(**SOFT), supports=LEFT, loads=pull, degree=1)
     with pytest.raises(InputError, match="mat_mumps_icntl_14"):
         list(Statics(steel, petsc={"mat_mumps_icntl_14": "x"}).steps())
-    # CG that may do one iteration and is to be exact.
-    monkeypatch.setitem(choice.BLOCKS, "ksp_max_it", 1)
-    monkeypatch.setitem(choice.BLOCKS, "ksp_rtol", 1e-30)
+    # CG that may do one iteration and is to be exact, with options of the user and without.
+    inner = {"st_ksp_max_it": 1, "st_ksp_rtol": 1e-30}
+    with pytest.raises(ConvergenceError, match="the eigenvalue solver has failed"):
+        modes(problem, linear=LinearSettings(method="iterative"), petsc=inner)
+    monkeypatch.setattr(lobpcg, "STEPS", 0)
+    for name, value in inner.items():
+        monkeypatch.setitem(choice.BLOCKS, name.removeprefix("st_"), value)
     with pytest.raises(ConvergenceError, match="the eigenvalue solver has failed"):
         modes(problem, linear=LinearSettings(method="iterative"))

@@ -1,0 +1,285 @@
+"""The lowest eigenvalues of large symmetric pencils without factors, by LOBPCG.
+
+Rayleigh and Ritz in the span of all approximate vectors X, their preconditioned residuals W and the
+last changes P: conjugate gradients for the Rayleigh quotient (A. Knyazev, SIAM J. Sci. Comput. 23
+(2001) 517), with a basis that stays orthogonal (J. Duersch, M. Shao, C. Yang and M. Gu, SIAM J.
+Sci. Comput. 40 (2018) C655).  No linear system is solved: a step costs one cycle of multigrid for
+each vector, and ranks exchange products of vectors only.
+
+An eigenvalue lies within |R| of each Ritz value, R = A x - value B x in the norm of B^-1 with x of
+unit norm in B, and the Ritz value is above its own by |R|^2 over the distance to the others at most
+(B. Parlett, The Symmetric Eigenvalue Problem (1998), sections 4.5, 11.7 and 15.9).  The norm is
+that of the diagonal of B, which is equivalent whatever the mesh (A. J. Wathen, IMA J. Numer. Anal.
+7 (1987) 449).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from petsc4py import PETSc
+
+from dolfin_elastic.core.parallel import total
+from dolfin_elastic.core.signals import raise_if_agreed
+from dolfin_elastic.core.types import BoolArray, FloatArray
+from dolfin_elastic.problem.problem import Problem
+from dolfin_elastic.solvers.linear.hierarchy import Multigrid
+from dolfin_elastic.solvers.linear.smoother import random_vector
+
+DROPPED = 1e-11
+"""Eigenvalue of a scaled Gram matrix up to which a direction is one of the others."""
+
+ROUGH = 1e-3
+"""Residual over the value that is enough where a value is too large to be wanted."""
+
+STEPS = 400
+"""Steps after which it has failed: 60 are many, but at nu = 0.499 quadratic elements take 270."""
+
+CHUNK = 4096
+"""Entries of all vectors that are combined at once."""
+
+
+class NotConvergedError(Exception):
+    """Residuals are too large after all steps, or no numbers."""
+
+
+class Preconditioned:
+    """A x = value B x with a cycle of multigrid as its preconditioner. Collective; `destroy` it.
+
+    Args:
+        problem: Whose displacement is the only unknown.
+        B: Zero where displacements are constrained; not negative.
+        shift: Below all values that are looked for; that of `shifted`.
+        shifted: A - shift B, owned here from now on; A itself if it is that.
+    """
+
+    def __init__(
+        self, problem: Problem, A: PETSc.Mat, B: PETSc.Mat, shift: float, shifted: PETSc.Mat
+    ) -> None:
+        self.A, self.B, self.shift, self.comm = A, B, shift, problem.body.comm
+        self._constraints, self._shifted = problem.constraints, shifted
+        self._pc = PETSc.PC().create(self.comm)
+        self._pc.setOperators(shifted)
+        self._multigrid = Multigrid(problem, self._pc)
+        self._r, self._w = A.createVecs()
+        diagonal = B.getDiagonal()
+        entries = diagonal.array_r
+        self.weights = np.divide(1.0, entries, out=np.zeros(len(entries)), where=entries > 0.0)
+        diagonal.destroy()
+
+    def improve(self, vectors: FloatArray) -> None:
+        """Overwrites residuals, one below the other, by about (A - shift B)^-1 of them. Collective.
+
+        By a symmetric positive matrix.
+        """
+        for vector in vectors:
+            self._r.array_w[:] = vector
+            self._pc.apply(self._r, self._w)
+            vector[:] = self._free(self._w.array_r)
+
+    def start(self, number: int) -> FloatArray:
+        """One of many initial vectors, which are independent."""
+        first, size = self._r.getOwnershipRange()[0], self._r.getSize()
+        return self._free(random_vector(number * size + first, len(self.weights)))
+
+    def _free(self, vector: FloatArray) -> FloatArray:
+        """Without its constrained part."""
+        free = self._constraints.free_part(vector)
+        free[self._constraints.tied_dofs] = 0.0
+        return free
+
+    def destroy(self) -> None:
+        """Frees the multigrid and what it is of. Collective."""
+        for thing in (self._multigrid, self._pc, self._r, self._w):
+            thing.destroy()
+        if self._shifted != self.A:
+            self._shifted.destroy()
+
+
+class Lobpcg:
+    """Vectors, the first of which become those of the lowest eigenvalues. Collective.
+
+    Args:
+        size: How many vectors; those beyond the wanted ones speed up the convergence of these.
+        known: Vectors to which all others are to be orthogonal in B; owned entries of each.
+        seed: Number of a search, each of which begins with vectors of its own.
+
+    Attributes:
+        values: Ritz values, ascending.
+        residuals: |R| of each.
+        converged: Which of them have.
+    """
+
+    def __init__(
+        self, pencil: Preconditioned, size: int, *, known: Sequence[FloatArray], seed: int = 0
+    ) -> None:
+        self._of, self._comm, n = pencil, pencil.comm, len(pencil.weights)
+        self._known = np.array(known).reshape(len(known), n)
+        self._images = np.empty_like(self._known)
+        _multiply(pencil.B, self._known, self._images)
+        self._inverse = np.linalg.pinv(self._products(self._images, self._known))
+        self._S = np.empty((3 * size, n))  # X, P and W, one below the other
+        self._AX, self._BX = (np.empty((size, n)) for _ in range(2))  # or those of W
+        self._PAP = np.empty((0, 0))
+        self.values: FloatArray = np.zeros(size)
+        self.residuals: FloatArray = np.full(size, np.inf)
+        self.converged: BoolArray = np.ones(size, dtype=bool)
+        for k in range(size):
+            self._S[k] = pencil.start(1000 * seed + k)
+        self._remove_known(self._S[:size])
+        self._combine(*self._products_of_vectors())
+
+    def vectors(self) -> FloatArray:
+        """Owned entries of the vectors, one below the other; valid until the next step."""
+        return self._S[: len(self.values)]
+
+    def solve(self, count: int, tolerance: float, below: float = np.inf) -> None:
+        """Iterates until the lowest values have converged. Collective.
+
+        Args:
+            tolerance: Relative error of their distance from the shift.
+            below: Values above are not wanted, and need not converge.
+
+        Raises:
+            NotConvergedError: They do not converge.
+            StoppedError: A signal has asked for the end of the run.
+        """
+        least = float(np.sqrt(tolerance)) / 3
+        for _ in range(STEPS):
+            raise_if_agreed(self._comm)
+            GA, GB = self._products_of_vectors()
+            self._take_residuals(GA)
+            far = np.abs(self.values - self._of.shift)
+            self.converged = self.residuals <= least * far
+            beyond = self.values - self.residuals > below
+            beyond[:1] &= self.residuals[:1] <= ROUGH * far[:1]
+            if len(far) >= count and (self.converged | beyond)[:count].all():
+                return
+            self._combine(*self._with_residuals(GA, GB))
+        raise NotConvergedError
+
+    def _products(self, a: FloatArray, b: FloatArray) -> FloatArray:
+        """Products of all of some vectors with all of others. Collective."""
+        return np.asarray(total(self._comm, a @ b.T))
+
+    def _remove_known(self, vectors: FloatArray) -> None:
+        """Makes vectors orthogonal to the known ones. Collective."""
+        vectors -= self._products(vectors, self._images) @ self._inverse @ self._known
+
+    def _products_of_vectors(self) -> tuple[FloatArray, FloatArray]:
+        """Those of X and P in A and B; the images of X stay. Collective."""
+        m, p = len(self.values), len(self._PAP)
+        S, grams = self._S[: m + p], []
+        for matrix, images, last in (
+            (self._of.A, self._AX, self._PAP),
+            (self._of.B, self._BX, np.eye(p)),
+        ):
+            _multiply(matrix, S[:m], images[:m])
+            rows = self._products(images[:m], S)
+            grams.append(np.block([[rows], [rows[:, m:].T, last]]))
+        return grams[0], grams[1]
+
+    def _take_residuals(self, GA: FloatArray) -> None:
+        """Overwrites A X by the residuals among vectors that are not known. Collective."""
+        m = len(self.values)
+        R, self.values = self._AX[:m], np.diag(GA)[:m].copy()
+        for k in range(m):
+            R[k] -= self.values[k] * self._BX[k]
+        R -= self._products(R, self._known) @ self._inverse @ self._images
+        squares = np.array([np.dot(r * r, self._of.weights) for r in R])
+        self.residuals = np.sqrt(total(self._comm, squares))
+
+    def _with_residuals(self, GA: FloatArray, GB: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Makes W of the residuals, and adds its products. Collective."""
+        m, s, active = len(self.values), len(GA), ~self.converged
+        a = int(np.count_nonzero(active))
+        S, W = self._S[: s + a], self._S[s : s + a]
+        W[:] = self._AX[:m][active]
+        self._of.improve(W)
+        self._remove_known(W)
+        W -= self._products(W, self._BX[:m]) @ S[:m]
+        grams = []
+        for matrix, room, known in ((self._of.A, self._AX, GA), (self._of.B, self._BX, GB)):
+            _multiply(matrix, W, room[:a])
+            rows = self._products(room[:a], S)
+            grams.append(np.block([[known, rows[:, :s].T], [rows]]))
+        return grams[0], grams[1]
+
+    def _combine(self, GA: FloatArray, GB: FloatArray) -> None:
+        """Takes the best vectors of the span, and their last changes. Collective."""
+        best = None
+        if (
+            self._comm.rank == 0
+        ):  # so that all go on with the same numbers, whatever their round-off
+            best = _best(GA, GB, len(self.values), ~self.converged)
+        best = self._comm.bcast(best)
+        if best is None:
+            raise NotConvergedError
+        self.values, mix, self._PAP = best
+        self.converged = self.converged[: len(self.values)]
+        for k in range(0, self._S.shape[1], CHUNK):
+            part = self._S[: len(GA), k : k + CHUNK]
+            self._S[: len(mix), k : k + CHUNK] = mix @ part
+
+
+def _best(
+    GA: FloatArray, GB: FloatArray, count: int, active: BoolArray
+) -> tuple[FloatArray, FloatArray, FloatArray] | None:
+    """Lowest Ritz values in a span, and combinations of it, each a row; None: no numbers.
+
+    Args:
+        GA: Products in A of the vectors that span it.
+        GB: Their products in B, which need not be regular.
+        count: How many values; as many vectors come first.
+        active: Of which of these the last changes are wanted.
+
+    Returns:
+        The values, the vectors and the changes of active ones, orthonormal in B, and products of
+        the changes in A.
+    """
+    if not (np.isfinite(GA).all() and np.isfinite(GB).all()):
+        return None
+    C = _orthonormal(GB)
+    values, mixes = np.linalg.eigh(_symmetric(C.T @ GA @ C))
+    V = (C @ mixes)[:, :count]
+    changes = V[:, active[: V.shape[1]]].copy()
+    changes[:count] = 0.0
+    changes -= V @ (V.T @ GB @ changes)
+    changes = changes @ _orthonormal(changes.T @ GB @ changes)
+    return values[:count], np.hstack([V, changes]).T, _symmetric(changes.T @ GA @ changes)
+
+
+def _orthonormal(G: FloatArray) -> FloatArray:
+    """Combinations of vectors with these products that are orthonormal, without tiny ones."""
+    diagonal = np.diag(G)
+    scale = np.zeros(len(G))
+    np.divide(1.0, np.sqrt(np.abs(diagonal)), out=scale, where=diagonal > 0.0)
+    sizes, mixes = np.linalg.eigh(_symmetric(scale[:, None] * G * scale))
+    kept = sizes > DROPPED
+    return np.asarray(scale[:, None] * mixes[:, kept] / np.sqrt(sizes[kept]))
+
+
+def _symmetric(G: FloatArray) -> FloatArray:
+    return np.asarray((G + G.T) / 2)
+
+
+def _multiply(matrix: PETSc.Mat, vectors: FloatArray, images: FloatArray) -> None:
+    """A matrix times several vectors at once, which takes a quarter of the time. Collective.
+
+    Args:
+        vectors: Owned entries, one vector below the other.
+        images: Is overwritten by as many vectors, in the same order.
+    """
+    if not len(vectors):
+        return
+    size = matrix.getSizes()[0]
+    X, Y = (
+        PETSc.Mat().createDense((size, (None, len(a))), array=a.T, comm=matrix.comm)
+        for a in (vectors, images)
+    )
+    for dense in (X, Y):
+        dense.assemble()
+    matrix.matMult(X, result=Y)
+    X.destroy()
+    Y.destroy()

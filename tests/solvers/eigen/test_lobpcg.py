@@ -1,0 +1,168 @@
+"""Modes without factors: those of factors, none missed, whatever holds the body."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable
+from itertools import permutations, product
+from typing import Any
+
+import numpy as np
+import pytest
+from helpers.bodies import made, turned
+from helpers.stacked import stacked
+from mpi4py import MPI
+
+from dolfin_elastic import (
+    LinearElastic,
+    Modal,
+    Problem,
+    Selector,
+    StVenantKirchhoff,
+    Support,
+    Symmetry,
+    Tie,
+    box_body,
+)
+from dolfin_elastic.mesh import name_parts
+from dolfin_elastic.problem.state import Mode
+from dolfin_elastic.solvers.eigen import lobpcg
+from dolfin_elastic.solvers.linear.choice import LinearSettings
+
+LAW = LinearElastic(E=1e7, nu=0.3, density=1000)
+
+
+def modes(problem: Problem, method: str, count: int, **keys: Any) -> list[Mode]:
+    linear = LinearSettings(method=method)
+    return list(Modal(problem, count=count, linear=linear, **keys).modes())
+
+
+def eigenvalues(found: list[Mode]) -> np.ndarray:
+    return np.array([mode.eigenvalue for mode in found])
+
+
+def bar(degree: int, **keys: Any) -> Problem:
+    """A square bar, which bends both ways alike."""
+    body = box_body(size=[4, 1, 1], cells=[8, 2, 2] if degree == 2 else [16, 4, 4])
+    return Problem(body, LAW, degree=degree, **keys)
+
+
+def tied() -> Problem:
+    body = stacked(size=(1.0, 0.8, 0.6), lower=(3, 2, 2), upper=(4, 3, 2))
+    held, tie = [Support(on="bottom")], [Tie(on="above", to="below")]
+    return Problem(body, LAW, supports=held, ties=tie, degree=1)
+
+
+def on_rollers() -> Problem:
+    """Along planes that are no coordinate planes, free to move along one direction."""
+    body = box_body(size=[2, 1, 1], cells=[6, 3, 3])
+    turned(body, [1, 2, 3], 0.4)
+    return Problem(body, LAW, supports=[Symmetry(on="left"), Symmetry(on="bottom")], degree=1)
+
+
+CASES: dict[str, Callable[[], Problem]] = {
+    "clamped": lambda: bar(1, supports=[Support(on="left")]),
+    "clamped, quadratic": lambda: bar(2, supports=[Support(on="left")]),
+    "free": lambda: bar(1),
+    "free, quadratic": lambda: bar(2),
+    "tied": tied,
+    "on rollers": on_rollers,
+}
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_modes_are_those_of_factors(name: str) -> None:
+    """Values to the tolerance; shapes to its root: their masses have the square of that."""
+    problem = CASES[name]()
+    direct, found = (modes(problem, method, 12) for method in ("direct", "iterative"))
+    assert [mode.kind for mode in found] == [mode.kind for mode in direct]
+    elastic = [k for k, mode in enumerate(direct) if mode.kind == "elastic"]
+    wanted = eigenvalues(direct)[elastic]
+    assert eigenvalues(found)[elastic] == pytest.approx(wanted, rel=1e-9)
+    # Effective masses of modes with the same frequency depend on how they are combined.
+    alone = np.diff(wanted, prepend=0.0, append=np.inf) > 1e-2 * np.append(wanted, wanted[-1])
+    for k in np.flatnonzero(alone[:-1] & alone[1:]):
+        for axis, whole in direct[0].whole.items():
+            theirs, ours = (x[elastic[k]].effective[axis] / whole for x in (direct, found))
+            assert ours == pytest.approx(theirs, abs=1e-4)
+
+
+def cubes(number: int) -> Problem:
+    """Equal cubes beside each other: each frequency is that of all."""
+    corners = [
+        np.cumsum([np.zeros(3), *np.eye(3)[list(order)]], axis=0)
+        for order in permutations(range(3))
+    ]
+    points = np.array(list(product((0, 1), repeat=3)), dtype=float)
+    cells = np.array([[int(c @ [4, 2, 1]) for c in cell] for cell in corners])
+    cells = np.concatenate([cells + 8 * k for k in range(number)])
+    points = np.concatenate([points + 3.0 * k * np.eye(3)[1] for k in range(number)])
+    foot = {"foot": Selector(plane="z", at="min")}
+    body = name_parts(made(MPI.COMM_WORLD, cells, points), surfaces=foot)
+    return Problem(body, LAW, supports=[Support(on="foot")], degree=1)
+
+
+@pytest.mark.parametrize("count", [1, 3, 8, 20])
+def test_more_equal_ones_than_vectors(count: int) -> None:
+    """Ten of each, where a search has four vectors more than are wanted."""
+    problem = cubes(10)
+    direct, found = (modes(problem, method, count) for method in ("direct", "iterative"))
+    assert eigenvalues(found) == pytest.approx(eigenvalues(direct), rel=1e-9)
+
+
+def test_one_block_after_another(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("dolfin_elastic.solvers.eigen.slepc.BLOCK", 5)
+    problem = bar(1)
+    direct, found = (modes(problem, method, 12) for method in ("direct", "iterative"))
+    assert eigenvalues(found)[6:] == pytest.approx(eigenvalues(direct)[6:], rel=1e-9)
+
+
+def test_missed_modes_are_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A first search that begins without motion of one of three cubes never moves it."""
+    start, problem, later = lobpcg.Preconditioned.start, cubes(3), list[int]()
+
+    def partly(self: Any, number: int) -> np.ndarray:
+        vector = start(self, number)
+        if number >= 1000:
+            later.append(number)
+        else:
+            size = len(vector)
+            vector[problem.unknowns.unknown_places[: size // 3, 1].repeat(3) > 5.0] = 0.0
+        return vector
+
+    direct = modes(problem, "direct", 4)
+    monkeypatch.setattr(lobpcg.Preconditioned, "start", partly)
+    found = modes(problem, "iterative", 4)
+    assert eigenvalues(found) == pytest.approx(eigenvalues(direct), rel=1e-9)
+    assert len(later) > 4, "a search finds what is missing, and one more that nothing is"
+
+
+def test_what_does_not_converge(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Krylov-Schur iterations find the same, and that is said."""
+    problem = bar(1, supports=[Support(on="left")])
+    found = eigenvalues(modes(problem, "iterative", 3))
+    monkeypatch.setattr(lobpcg, "STEPS", 3)
+    with caplog.at_level(logging.INFO):
+        others = eigenvalues(modes(problem, "iterative", 3))
+    assert others == pytest.approx(found, rel=1e-8)
+    if MPI.COMM_WORLD.rank == 0:
+        assert "LOBPCG has not converged" in caplog.text
+
+
+def test_unstable() -> None:
+    """A column beyond its load: values below zero, too."""
+    law = StVenantKirchhoff(E=1e7, nu=0.0, density=1000)
+    body = box_body(size=[10, 1, 1], cells=[20, 2, 2])
+    problem = Problem(body, law, supports=[Support(on="left")], degree=2)
+    problem.u.interpolate(lambda x: -0.005 * np.stack([x[0], 0 * x[0], 0 * x[0]]))
+    found = []
+    for method in ("direct", "iterative"):
+        linear = LinearSettings(method=method)
+        modal = Modal(problem, count=4, preload=True, linear=linear)
+        found.append(list(modal.about_this_state()))
+    direct, iterative = found
+    assert [mode.kind for mode in iterative] == [mode.kind for mode in direct]
+    assert direct[0].kind == "unstable"
+    assert eigenvalues(iterative) == pytest.approx(eigenvalues(direct), rel=1e-9)
