@@ -53,7 +53,7 @@ from dolfin_elastic.solvers.eigen.critical_load import CriticalLoad
 from dolfin_elastic.solvers.eigen.mode_shapes import at_rest, refuse, shape
 from dolfin_elastic.solvers.eigen.preload import PreloadedAnalysis
 from dolfin_elastic.solvers.eigen.settings import BucklingSettings
-from dolfin_elastic.solvers.eigen.slepc import DIRECT_LIMIT, Pair, destroy, prefixed
+from dolfin_elastic.solvers.eigen.slepc import COUNTED_LIMIT, Pair, destroy, prefixed
 from dolfin_elastic.solvers.linear.choice import Choice, LinearSettings, factorising
 from dolfin_elastic.solvers.statics.settings import StaticsSettings
 
@@ -116,7 +116,7 @@ class Buckling(PreloadedAnalysis):
                 expected='"auto" or "direct"',
             )
         size = f"{problem.num_dofs} unknowns"
-        if problem.num_dofs > DIRECT_LIMIT[problem.body.dim]:
+        if problem.num_dofs > COUNTED_LIMIT[problem.body.dim]:
             size += ", which will take much memory"
         detail = "Krylov-Schur iterations (SLEPc; MUMPS, LDL^T)"
         self.choice = Choice(True, prefixed(factorising(True)), f"{size}, direct solver", detail)

@@ -118,8 +118,9 @@ class Modal(PreloadedAnalysis):
         refuse(problem, "modal", loaded=self.settings.preload)
         for region in problem.regions:
             problem.context.density(region)  # raises where there is none
-        self.choice = choose_eigen(problem, self.linear)
-        if self.settings.below is not None and not self.choice.direct:
+        counted = self.settings.below is not None
+        self.choice = choose_eigen(problem, self.linear, counted=counted)
+        if counted and not self.choice.direct:
             raise InputError(
                 "modes below a frequency are counted by a factorisation, and an iterative "
                 "solver makes none",

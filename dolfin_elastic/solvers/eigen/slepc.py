@@ -47,9 +47,12 @@ from dolfin_elastic.solvers.linear.multigrid import PMultigrid, rigid_body_modes
 from dolfin_elastic.solvers.messages import eigenvalues
 from dolfin_elastic.solvers.petsc.options import Options, cause_of, ksp_reason
 
-DIRECT_LIMIT = {2: 600_000, 3: 100_000}
-"""Unknowns up to which is factorised by default: more than in statics, for each of the factors
-serves some fifty solutions."""
+DIRECT_LIMIT = {2: 600_000, 3: 30_000}
+"""Unknowns up to which is factorised by default: a block of 20 000 takes as long either way, one of
+70 000 half as long without factors; slender bodies have small factors."""
+
+COUNTED_LIMIT = {2: 600_000, 3: 100_000}
+"""The same where values are to be counted, which takes factors."""
 
 SPARE = 4
 """Modes computed beyond the requested ones, so that there is a gap to count in."""
@@ -75,13 +78,15 @@ class Pair:
     vector: FloatArray
 
 
-def choose_eigen(problem: Problem, settings: LinearSettings) -> Choice:
-    """Chooses how systems inside an eigenvalue solver are solved, and says why.
+def choose_eigen(problem: Problem, settings: LinearSettings, *, counted: bool) -> Choice:
+    """Chooses how an eigenvalue problem is solved, and says why.
 
     Args:
         settings: As the user chose.
+        counted: The values below a number are wanted, which have to be counted.
     """
-    dofs, limit = problem.num_dofs, DIRECT_LIMIT[problem.body.dim]
+    limits = COUNTED_LIMIT if counted else DIRECT_LIMIT
+    dofs, limit = problem.num_dofs, limits[problem.body.dim]
     direct = settings.method == "direct" or (settings.method == "auto" and dofs <= limit)
     size = f"{dofs} unknowns"
     if settings.method != "auto":
