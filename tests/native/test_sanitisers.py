@@ -206,12 +206,15 @@ def of_multigrid(sizes: dict[str, int], lanes: int) -> Iterator[Call]:
         yield "fill_blocks", values | size | entries | {"block_start": start}
         for name in ("take_diagonal", "connections"):
             yield name, from_one | size
-        for name in ("invert_blocks", "times_diagonal", "product", "correct", "smooth"):
+        for name in ("invert_blocks", "times_diagonal", "product"):
             yield name, values | size
-        yield "smooth_first", values | size
+        for name in ("smooth_first", "correct", "smooth"):
+            yield name, values | size
+            yield f"{name}_eight", values | size
         yield "rows_of_half", halves | size | {"first": 1, "count": rows - 1}
         yield "product_of_half", halves | size
         yield "rounded_product_of_half", halves | size
+        yield "rounded_product_of_half_eight", halves | size
     for R, C in ((dim, dim), (dim, modes), (modes, modes)):
         size = {"R": R, "C": C}
         for name in ("hold_fixed", "fill_smoothed", "galerkin"):
@@ -220,6 +223,7 @@ def of_multigrid(sizes: dict[str, int], lanes: int) -> Iterator[Call]:
             yield name, values | size
         for name in ("restrict_vector", "restrict_residual", "prolong"):
             yield name, values | size
+            yield f"{name}_eight", values | size
 
 
 def of_patches(sizes: dict[str, int], lanes: int) -> Iterator[Call]:

@@ -1123,3 +1123,218 @@ int64_t rounded_product_of_half(int64_t R, int64_t n, const int64_t start[n + 1]
   DISPATCH(R, R, rounded_product_of_half_, n, start, columns, half, x, y);
   return 0;
 }
+
+/* --- The cycle for eight right-hand sides at once: in place of each number of a vector there are
+   those of eight vectors. --- */
+
+INLINE void row_times_eight(const int R, int64_t first, int64_t last, const int32_t* columns,
+                            const float* a, const lanes8* x, lanes8* y)
+{
+  for (int64_t k = first; k < last; k++)
+    for (int c = 0; c < R; c++)
+    {
+      const lanes8 v = x[(int64_t)R * columns[k] + c];
+      for (int r = 0; r < R; r++)
+        y[r] += (double)a[(k * R + c) * R + r] * v;
+    }
+}
+
+/* z + S r */
+INLINE void add_scaled_eight(const int R, const float* inverse, const lanes8* r, lanes8* z)
+{
+  for (int c = 0; c < R; c++)
+    for (int k = 0; k < R; k++)
+      z[k] += (double)inverse[c * R + k] * r[c];
+}
+
+/* r = b - A x, of one node */
+INLINE void residual_eight(const int R, int64_t i, const int64_t* start, const int32_t* columns,
+                           const float* a, const lanes8* x, const lanes8* b, lanes8* r)
+{
+  for (int k = 0; k < R; k++)
+    r[k] = (lanes8){0.0};
+  row_times_eight(R, start[i], start[i + 1], columns, a, x, r);
+  for (int k = 0; k < R; k++)
+    r[k] = b[i * R + k] - r[k];
+}
+
+/* coarse += P^T r, of one node */
+INLINE void restrict_node_eight(const int R, const int C, int64_t first, int64_t last,
+                                const int32_t* p_columns, const float* p, const lanes8* r,
+                                lanes8* coarse)
+{
+  for (int64_t l = first; l < last; l++)
+    for (int c = 0; c < C; c++)
+    {
+      lanes8 sum = {0.0};
+      for (int k = 0; k < R; k++)
+        sum += (double)p[(l * R + k) * C + c] * r[k];
+      coarse[(int64_t)C * p_columns[l] + c] += sum;
+    }
+}
+
+/* y = S b */
+INLINE void smooth_first_eight_(const int R, const int C, int64_t n, const float* inverse,
+                                const lanes8* b, lanes8* y)
+{
+  (void)C;
+  for (int64_t i = 0; i < n; i++)
+  {
+    for (int k = 0; k < R; k++)
+      y[i * R + k] = (lanes8){0.0};
+    add_scaled_eight(R, inverse + i * R * R, b + i * R, y + i * R);
+  }
+}
+int64_t smooth_first_eight(int64_t R, int64_t n, const float inverse[R * R * n],
+                           const double b[8 * R * n], double y[8 * R * n])
+{
+  DISPATCH(R, R, smooth_first_eight_, n, inverse, (const lanes8*)b, (lanes8*)y);
+  return 0;
+}
+
+/* y = x + S (b - y), where y is A x */
+INLINE void correct_eight_(const int R, const int C, int64_t n, const float* inverse,
+                           const lanes8* x, const lanes8* b, lanes8* y)
+{
+  (void)C;
+  for (int64_t i = 0; i < n; i++)
+  {
+    lanes8 r[R];
+    for (int k = 0; k < R; k++)
+    {
+      r[k] = b[i * R + k] - y[i * R + k];
+      y[i * R + k] = x[i * R + k];
+    }
+    add_scaled_eight(R, inverse + i * R * R, r, y + i * R);
+  }
+}
+int64_t correct_eight(int64_t R, int64_t n, const float inverse[R * R * n],
+                      const double x[8 * R * n], const double b[8 * R * n], double y[8 * R * n])
+{
+  DISPATCH(R, R, correct_eight_, n, inverse, (const lanes8*)x, (const lanes8*)b, (lanes8*)y);
+  return 0;
+}
+
+/* y = x + S (b - A x) */
+INLINE void smooth_eight_(const int R, const int C, int64_t n, const int64_t* start,
+                          const int32_t* columns, const float* a, const float* inverse,
+                          const lanes8* x, const lanes8* b, lanes8* y)
+{
+  (void)C;
+  for (int64_t i = 0; i < n; i++)
+  {
+    lanes8 r[R];
+    residual_eight(R, i, start, columns, a, x, b, r);
+    for (int k = 0; k < R; k++)
+      y[i * R + k] = x[i * R + k];
+    add_scaled_eight(R, inverse + i * R * R, r, y + i * R);
+  }
+}
+int64_t smooth_eight(int64_t R, int64_t n, const int64_t start[n + 1],
+                     const int32_t columns[start[n]], const float a[R * R * start[n] + 1],
+                     const float inverse[R * R * n], int64_t nodes, const double x[8 * R * nodes],
+                     const double b[8 * R * n], double y[8 * R * n])
+{
+  DISPATCH(R, R, smooth_eight_, n, start, columns, a, inverse, (const lanes8*)x,
+           (const lanes8*)b, (lanes8*)y);
+  return 0;
+}
+
+/* coarse += P^T r */
+INLINE void restrict_eight_(const int R, const int C, int64_t n, const int64_t* p_start,
+                            const int32_t* p_columns, const float* p, const lanes8* r,
+                            lanes8* coarse)
+{
+  for (int64_t i = 0; i < n; i++)
+    restrict_node_eight(R, C, p_start[i], p_start[i + 1], p_columns, p, r + i * R, coarse);
+}
+int64_t restrict_vector_eight(int64_t R, int64_t C, int64_t n, const int64_t p_start[n + 1],
+                              const int32_t p_columns[p_start[n]],
+                              const float p[R * C * p_start[n] + 2], const double r[8 * R * n],
+                              int64_t groups, double coarse[8 * C * groups])
+{
+  DISPATCH(R, C, restrict_eight_, n, p_start, p_columns, p, (const lanes8*)r, (lanes8*)coarse);
+  return 0;
+}
+
+/* coarse += P^T (b - A x) */
+INLINE void restrict_residual_eight_(const int R, const int C, int64_t n, const int64_t* start,
+                                     const int32_t* columns, const float* a, const lanes8* x,
+                                     const lanes8* b, const int64_t* p_start,
+                                     const int32_t* p_columns, const float* p, lanes8* coarse)
+{
+  for (int64_t i = 0; i < n; i++)
+  {
+    lanes8 r[R];
+    residual_eight(R, i, start, columns, a, x, b, r);
+    restrict_node_eight(R, C, p_start[i], p_start[i + 1], p_columns, p, r, coarse);
+  }
+}
+int64_t restrict_residual_eight(int64_t R, int64_t C, int64_t n, const int64_t start[n + 1],
+                                const int32_t columns[start[n]],
+                                const float a[R * R * start[n] + 1], int64_t nodes,
+                                const double x[8 * R * nodes], const double b[8 * R * n],
+                                const int64_t p_start[n + 1], const int32_t p_columns[p_start[n]],
+                                const float p[R * C * p_start[n] + 2], int64_t groups,
+                                double coarse[8 * C * groups])
+{
+  DISPATCH(R, C, restrict_residual_eight_, n, start, columns, a, (const lanes8*)x,
+           (const lanes8*)b, p_start, p_columns, p, (lanes8*)coarse);
+  return 0;
+}
+
+/* x += P e */
+INLINE void prolong_eight_(const int R, const int C, int64_t n, const int64_t* p_start,
+                           const int32_t* p_columns, const float* p, const lanes8* e, lanes8* x)
+{
+  for (int64_t i = 0; i < n; i++)
+    for (int64_t l = p_start[i]; l < p_start[i + 1]; l++)
+      for (int k = 0; k < R; k++)
+        for (int c = 0; c < C; c++)
+          x[i * R + k] += (double)p[(l * R + k) * C + c] * e[(int64_t)C * p_columns[l] + c];
+}
+int64_t prolong_eight(int64_t R, int64_t C, int64_t n, const int64_t p_start[n + 1],
+                      const int32_t p_columns[p_start[n]], const float p[R * C * p_start[n] + 2],
+                      int64_t groups, const double e[8 * C * groups], double x[8 * R * n])
+{
+  DISPATCH(R, C, prolong_eight_, n, p_start, p_columns, p, (const lanes8*)e, (lanes8*)x);
+  return 0;
+}
+
+/* y = A x with blocks in single precision, column by column, of which the half is there. */
+INLINE void rounded_product_of_half_eight_(const int R, const int C, int64_t n,
+                                           const int64_t* start, const int32_t* columns,
+                                           const float* half, const lanes8* x, lanes8* y)
+{
+  (void)C;
+  memset(y, 0, sizeof(lanes8) * R * n);
+  for (int64_t i = 0; i < n; i++)
+  {
+    lanes8 s[R], own[R];
+    for (int r = 0; r < R; r++)
+    {
+      s[r] = (lanes8){0.0};
+      own[r] = x[i * R + r];
+    }
+    row_times_eight(R, start[i], start[i + 1], columns, half, x, s);
+    for (int64_t k = start[i]; k < start[i + 1]; k++)
+      for (int c = 0; columns[k] > i && columns[k] < n && c < R; c++)
+      {
+        lanes8 t = {0.0};
+        for (int r = 0; r < R; r++)
+          t += (double)half[(k * R + c) * R + r] * own[r];
+        y[(int64_t)R * columns[k] + c] += t;
+      }
+    for (int r = 0; r < R; r++)
+      y[i * R + r] += s[r];
+  }
+}
+int64_t rounded_product_of_half_eight(int64_t R, int64_t n, const int64_t start[n + 1],
+                                      const int32_t columns[start[n]],
+                                      const float half[R * R * start[n] + R / 3], int64_t nodes,
+                                      const double x[8 * R * nodes], double y[8 * R * n])
+{
+  DISPATCH(R, R, rounded_product_of_half_eight_, n, start, columns, half, (const lanes8*)x,
+           (lanes8*)y);
+  return 0;
+}

@@ -62,7 +62,6 @@ class Preconditioned:
         self._pc = PETSc.PC().create(self.comm)
         self._pc.setOperators(shifted)
         self._multigrid = Multigrid(problem, self._pc)
-        self._r, self._w = A.createVecs()
         diagonal = B.getDiagonal()
         entries = diagonal.array_r
         self.weights = np.divide(1.0, entries, out=np.zeros(len(entries)), where=entries > 0.0)
@@ -73,14 +72,13 @@ class Preconditioned:
 
         By a symmetric positive matrix.
         """
+        self._multigrid.apply_to_several(self._pc, vectors)
         for vector in vectors:
-            self._r.array_w[:] = vector
-            self._pc.apply(self._r, self._w)
-            vector[:] = self._free(self._w.array_r)
+            vector[:] = self._free(vector)
 
     def start(self, number: int) -> FloatArray:
         """One of many initial vectors, which are independent."""
-        first, size = self._r.getOwnershipRange()[0], self._r.getSize()
+        first, size = self.A.getOwnershipRange()[0], self.A.getSize()[0]
         return self._free(random_vector(number * size + first, len(self.weights)))
 
     def _free(self, vector: FloatArray) -> FloatArray:
@@ -91,7 +89,7 @@ class Preconditioned:
 
     def destroy(self) -> None:
         """Frees the multigrid and what it is of. Collective."""
-        for thing in (self._multigrid, self._pc, self._r, self._w):
+        for thing in (self._multigrid, self._pc):
             thing.destroy()
         if self._shifted != self.A:
             self._shifted.destroy()

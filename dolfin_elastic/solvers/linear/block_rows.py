@@ -47,6 +47,15 @@ class Interpolation:
         self.halo.destroy()
 
 
+EIGHT = 8
+"""Right-hand sides of one cycle, where there are several: what a vector register holds."""
+
+
+def of_width(name: str, b: FloatArray) -> str:
+    """The loop for one vector, shape (nodes, R), or for several, shape (nodes, R, `EIGHT`)."""
+    return name if b.ndim == 2 else f"{name}_eight"
+
+
 def room_for(count: int, R: int, C: int) -> SingleArray:
     """Blocks of an interpolation, behind which the loops may read. Local."""
     return np.zeros(count * R * C + 2, dtype=np.float32)[:-2].reshape(count, R, C)
@@ -302,8 +311,12 @@ class HalfRows(_HalfPattern):
         """Products in single precision, which take the blocks over. Local."""
         self._full = None
         loops, sizes = self._loops, (self.R, self.rows)
-        matrix = (*self._half, into_single_precision(self.take_blocks(), loops))
-        return partial(loops.call, "rounded_product_of_half", *sizes, *matrix, self.halo.size)
+        matrix = (*self._half, into_single_precision(self.take_blocks(), loops), self.halo.size)
+
+        def times(x: FloatArray, y: FloatArray) -> None:
+            loops.call(of_width("rounded_product_of_half", x), *sizes, *matrix, x, y)
+
+        return times
 
 
 class SymmetricRows(_HalfPattern):

@@ -22,11 +22,13 @@ from dolfin_elastic.solvers.assembly.node_blocks import NodeBlocks
 from dolfin_elastic.solvers.assembly.symmetric.blocks import SymmetricBlocks
 from dolfin_elastic.solvers.linear.aggregation import galerkin, smoothed_interpolation
 from dolfin_elastic.solvers.linear.block_rows import (
+    EIGHT,
     BlockRows,
     Interpolation,
     PetscRows,
     SymmetricRows,
     interpolation_from_petsc,
+    of_width,
     with_room,
 )
 from dolfin_elastic.solvers.linear.multigrid import (
@@ -67,23 +69,31 @@ class Level:
         self.smoother, self._loops, self._coarse = smoother, loops, P.halo
         self._P = (P.start, P.columns, with_room(P.blocks))
         R, n = smoother.sizes
-        values = np.zeros(P.halo.size * P.C + 2)  # with room that the loops may read
-        self._sizes, self._c = (R, P.C, n), values[:-2].reshape(-1, P.C)
+        self._sizes, self._rooms = (R, P.C, n), dict[tuple[int, ...], FloatArray]()
 
     def descend(self, b: FloatArray) -> FloatArray:
         """Smooths from zero and restricts the residual. Collective.
 
         Args:
-            b: Right-hand side, of owned nodes.
+            b: Right-hand side, of owned nodes; shape (nodes, R), or (nodes, R, `EIGHT`).
 
         Returns:
             The coarser level's, of owned nodes; valid until the next cycle.
         """
         self.smoother.from_zero(b)
-        self._c[:] = 0.0
-        self.smoother.restrict(b, self._P, self._c)
-        self._coarse.collect(self._c)
-        return self._c[: self._coarse.owned]
+        c = self._room(b)
+        c[:] = 0.0
+        self.smoother.restrict(b, self._P, c)
+        self._coarse.collect(c)
+        return c[: self._coarse.owned]
+
+    def _room(self, b: FloatArray) -> FloatArray:
+        """Coarse nodes for as many right-hand sides, with room that the loops may read."""
+        if (width := b.shape[2:]) not in self._rooms:
+            shape = (self._coarse.size, self._sizes[1], *width)
+            values = np.zeros(int(np.prod(shape)) + 2)
+            self._rooms[width] = values[:-2].reshape(shape)
+        return self._rooms[width]
 
     def ascend(self, b: FloatArray, correction: FloatArray) -> FloatArray:
         """Adds the coarser level's solution and smooths. Collective.
@@ -95,10 +105,11 @@ class Level:
         Returns:
             The solution, of owned nodes; valid until the next cycle.
         """
-        self._c[: self._coarse.owned] = correction
-        self._coarse.fill(self._c)
-        coarse = (len(self._c), with_room(self._c))
-        self._loops.call("prolong", *self._sizes, *self._P, *coarse, self.smoother.x)
+        c = self._room(b)
+        c[: self._coarse.owned] = correction
+        self._coarse.fill(c)
+        coarse = (len(c), with_room(c))
+        self._loops.call(of_width("prolong", b), *self._sizes, *self._P, *coarse, self.smoother.x)
         return self.smoother.once_more(b)
 
     def __str__(self) -> str:
@@ -124,14 +135,16 @@ class Inverse:
         without = np.flatnonzero(diagonal <= 1e-13 * diagonal.max(initial=0.0))
         matrix[without, without] = 1.0
         self._comm, self._halo = comm, A.halo
-        self._b = (np.zeros(size * A.R), comm.allgather(A.rows * A.R))
+        self._counts = comm.allgather(A.rows * A.R)
         own = slice(A.halo.first * A.R, (A.halo.first + A.rows) * A.R)
         self._rows = np.ascontiguousarray(_inverse(matrix)[own])
 
     def solve(self, b: FloatArray) -> FloatArray:
         """Solves for owned nodes. Collective."""
-        self._comm.Allgatherv(b, self._b)
-        return (self._rows @ self._b[0]).reshape(b.shape)
+        width = int(np.prod(b.shape[2:]))
+        whole = np.empty((sum(self._counts), width))
+        self._comm.Allgatherv(b, (whole, [count * width for count in self._counts]))
+        return np.asarray(self._rows @ whole).reshape(b.shape)
 
     def destroy(self) -> None:
         """Frees PETSc's objects. Collective."""
@@ -167,12 +180,14 @@ class Rest:
         Where GAMG cannot be set up, as for a singular matrix, the result is no number: the solver
         whose cycle this is then fails.
         """
+        if b.ndim == 3:
+            return np.stack([self.solve(b[:, :, k]) for k in range(b.shape[2])], axis=2)
         self._b.array_w[:] = b.reshape(-1)
         try:
             self._ksp.solve(self._b, self._x)
         except PETSc.Error:
             return np.full(b.shape, np.nan)
-        return self._x.array_r.reshape(b.shape)
+        return np.array(self._x.array_r).reshape(b.shape)
 
     def destroy(self) -> None:
         """Frees PETSc's objects. Collective."""
@@ -275,7 +290,7 @@ class Hierarchy:
         """One V cycle. Collective.
 
         Args:
-            b: Right-hand side of level k, of owned nodes.
+            b: Right-hand side of level k, of owned nodes, or `EIGHT` of them, see `Level`.
             k: Level; 0 is the finest.
         """
         if k == len(self._levels):
@@ -373,6 +388,21 @@ class Multigrid:
         self._hierarchy.renew()
         b = x.array_r.reshape(-1, self._problem.body.dim)
         y.array_w[:] = self._hierarchy.cycle(b).reshape(-1)
+
+    def apply_to_several(self, pc: PETSc.PC, vectors: FloatArray) -> None:
+        """One cycle for each of several vectors, of a matrix of PETSc's entries. Collective.
+
+        Args:
+            vectors: Owned entries, one vector below the other, which are overwritten.
+        """
+        pc.setUp()
+        assert self._hierarchy is not None
+        for first in range(0, len(vectors), EIGHT):
+            part = vectors[first : first + EIGHT]
+            b = np.zeros((part.shape[1], EIGHT))
+            b[:, : len(part)] = part.T
+            x = self._hierarchy.cycle(b.reshape(-1, self._problem.body.dim, EIGHT))
+            part[:] = x.reshape(b.shape)[:, : len(part)].T
 
     def view(self, pc: PETSc.PC, viewer: PETSc.Viewer) -> None:
         """Names the levels. Collective.

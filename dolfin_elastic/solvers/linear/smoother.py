@@ -3,20 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 from typing import TypeAlias
 
 import numpy as np
 
 from dolfin_elastic.core.jit import CFunctions
 from dolfin_elastic.core.parallel import total
-from dolfin_elastic.core.types import FloatArray, IndexArray, IntArray, SingleArray
+from dolfin_elastic.core.types import AnyArray, FloatArray, IndexArray, IntArray, SingleArray
 from dolfin_elastic.solvers.linear.block_rows import (
     BlockRows,
     HalfRows,
     SymmetricRows,
     in_single_precision,
     into_single_precision,
+    of_width,
     with_room,
 )
 from dolfin_elastic.solvers.linear.surface_means import SurfaceMeans
@@ -137,7 +137,7 @@ class Smoother:
         halo: Nodes that a rank's rows refer to.
         sizes: Rows of a block, and owned nodes.
         largest: Estimated eigenvalue of D^-1 A.
-        x: The iterate, of owned and other nodes.
+        x: The iterate, of owned and other nodes, for one right-hand side or `EIGHT`.
     """
 
     def __init__(
@@ -149,17 +149,11 @@ class Smoother:
     ) -> None:
         self._loops, self.halo, self.sizes = loops, A.halo, (A.R, A.rows)
         self._means = means
+        self.x: FloatArray = np.empty((0, A.R))
+        self._y: FloatArray = self.x
+        self._made: dict[tuple[int, ...], tuple[FloatArray, FloatArray]] = {}
         self._scale(diagonal or diagonal_of(A, loops, means=means))
         self._take(A)
-
-    @cached_property
-    def x(self) -> FloatArray:
-        """See the class; made for the first cycle, as making coarser levels needs room."""
-        return np.zeros((self.halo.size, self.sizes[0]))
-
-    @cached_property
-    def _y(self) -> FloatArray:
-        return np.zeros((self.sizes[1], self.sizes[0]))
 
     def _scale(self, diagonal: Diagonal) -> None:
         self.largest, self._vector = diagonal.largest, diagonal.vector
@@ -171,7 +165,11 @@ class Smoother:
 
     def from_zero(self, b: FloatArray) -> None:
         """The first iterate, from zero. Collective."""
-        self._loops.call("smooth_first", *self.sizes, self._scaled, b, self.x)
+        if (width := b.shape[2:]) not in self._made:  # not before: making levels needs room
+            R, n = self.sizes
+            self._made[width] = np.zeros((self.halo.size, R, *width)), np.zeros((n, R, *width))
+        self.x, self._y = self._made[width]
+        self._call("smooth_first", b, *self.sizes, self._scaled, b, self.x)
         if self._means is not None:
             self._means.correct(self.x[: self.sizes[1]])
         self.halo.fill(self.x)
@@ -185,7 +183,8 @@ class Smoother:
         """
         (R, n), C = self.sizes, coarse.shape[1]
         matrix = (*self._matrix, len(self.x), self.x, b)
-        self._loops.call("restrict_residual", R, C, n, *matrix, *P, len(coarse), with_room(coarse))
+        out = (len(coarse), with_room(coarse))
+        self._call("restrict_residual", b, R, C, n, *matrix, *P, *out)
 
     def once_more(self, b: FloatArray) -> FloatArray:
         """The next iterate, of owned nodes; valid until the next call. Collective."""
@@ -197,7 +196,10 @@ class Smoother:
 
     def _smooth(self, b: FloatArray) -> None:
         x = (len(self.x), self.x)
-        self._loops.call("smooth", *self.sizes, *self._matrix, self._scaled, *x, b, self._y)
+        self._call("smooth", b, *self.sizes, *self._matrix, self._scaled, *x, b, self._y)
+
+    def _call(self, name: str, b: FloatArray, *arguments: int | AnyArray) -> None:
+        self._loops.call(of_width(name, b), *arguments)
 
     def renew(self) -> None:
         """Follows a matrix that is not its own; any other is kept as it was. Collective."""
@@ -220,11 +222,11 @@ class HalvedSmoother(Smoother):
         np.subtract(b, self._y, out=self._y)
         (R, n), C = self.sizes, coarse.shape[1]
         out = (len(coarse), with_room(coarse))
-        self._loops.call("restrict_vector", R, C, n, *P, self._y, *out)
+        self._call("restrict_vector", b, R, C, n, *P, self._y, *out)
 
     def _smooth(self, b: FloatArray) -> None:
         self._times(self.x, self._y)
-        self._loops.call("correct", *self.sizes, self._scaled, self.x, b, self._y)
+        self._call("correct", b, *self.sizes, self._scaled, self.x, b, self._y)
 
 
 class TangentSmoother(HalvedSmoother):

@@ -39,7 +39,11 @@ from dolfin_elastic.solvers.linear.block_rows import (
 from dolfin_elastic.solvers.linear.choice import LinearSettings
 from dolfin_elastic.solvers.linear.hierarchy import Multigrid
 from dolfin_elastic.solvers.linear.multigrid import constrained_interpolation, mode_values
-from dolfin_elastic.solvers.linear.smoother import diagonal_of, taken_in_single_precision
+from dolfin_elastic.solvers.linear.smoother import (
+    diagonal_of,
+    random_vector,
+    taken_in_single_precision,
+)
 from dolfin_elastic.solvers.petsc.halo import Halo
 
 ITERATIVE = LinearSettings(method="iterative")
@@ -386,3 +390,25 @@ def test_a_rest_that_gamg_refuses_is_no_number():
     rest = hierarchy.Rest(A, np.ones((n, 2, 1)))
     assert np.isnan(rest.solve(np.ones((n, 2)))).all()
     rest.destroy()
+
+
+@pytest.mark.parametrize(("dim", "degree", "n"), [(2, 2, 12), (3, 1, 8), (3, 2, 4)])
+def test_cycles_of_several_vectors(dim: int, degree: int, n: int) -> None:
+    """Eight at once and the rest give what each gives by itself, to round-off."""
+    problem = block(n, dim=dim, degree=degree)
+    with tangent(problem) as matrix:
+        pc = PETSc.PC().create(matrix.comm)
+        pc.setOperators(matrix)
+        multigrid = Multigrid(problem, pc)
+        x, y = matrix.createVecs()
+        first, size = x.getOwnershipRange()[0], x.getSize()
+        vectors = np.array([random_vector(first + k * size, x.getLocalSize()) for k in range(11)])
+        images = vectors.copy()
+        multigrid.apply_to_several(pc, images)
+        for vector, image in zip(vectors, images, strict=True):
+            x.array_w[:] = vector
+            pc.apply(x, y)
+            largest = matrix.comm.tompi4py().allreduce(np.max(np.abs(y.array_r)), op=MPI.MAX)
+            np.testing.assert_allclose(image, y.array_r, rtol=0, atol=1e-14 * largest)
+        for thing in (multigrid, pc, x, y):
+            thing.destroy()
