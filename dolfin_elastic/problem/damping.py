@@ -26,7 +26,7 @@ from ufl.core.expr import Expr
 
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.types import FloatArray
-from dolfin_elastic.model.kinematics import gradient_variation
+from dolfin_elastic.model.kinematics import gradient_variation, variables
 from dolfin_elastic.model.materials.growth import GrownLaw
 from dolfin_elastic.model.materials.law import Law, ModifiedLaw, SplitLaw
 from dolfin_elastic.problem.material_regions import MaterialRegion
@@ -73,6 +73,8 @@ class Damping:
         stiffness: Rayleigh's factor of the stiffness [s].
 
     Attributes:
+        mass: As given: forces -a M v are in no form.
+        shift: Derivative of the velocity by the displacement in the tangent [1/s].
         rate: Velocity in the space of all unknowns [m/s], zero for scalar fields.
 
     Raises:
@@ -80,9 +82,9 @@ class Damping:
     """
 
     def __init__(self, problem: Problem, mass: float = 0.0, stiffness: float = 0.0) -> None:
-        self._problem = problem
-        self._mass = problem.constant(mass) if mass else None
+        self._problem, self.mass = problem, mass
         self._stiffness = problem.constant(stiffness) if stiffness else None
+        self.shift = problem.constant(0.0)
         self.rate = fem.Function(problem.W, name="velocity")
         self._viscous_regions = [p for p in problem.regions if p.law.viscosity is not None]
         check_damped(problem, stiffness)
@@ -95,7 +97,7 @@ class Damping:
     @property
     def none(self) -> bool:
         """Nothing is damped."""
-        return not self.inside and self._mass is None
+        return not self.inside and not self.mass
 
     def set_velocity(self, v: FloatArray) -> None:
         """Sets the velocity that damps, owned entries of the displacement [m/s]. Collective."""
@@ -104,47 +106,53 @@ class Damping:
 
     # --- virtual work ---
 
-    def drag(self) -> ufl.Form | None:
-        """Against the velocity, in space: the part that acts on a rigid motion, too."""
-        if self._mass is None:
-            return None
-        v = self._problem.unknowns.displacement(self.rate)
-        return self._mass * self._problem.weak_form.inertia(v, self._problem.v)
-
     def work(self) -> ufl.Form | None:
-        """Virtual work of all that damps, at the velocity `rate`."""
-        return None if self.none else sum(self._terms(self.rate))
+        """Virtual work of the stresses that damp, at the velocity `rate`."""
+        return sum(self._terms()) if self.inside else None
 
-    def tangent(self) -> ufl.Form | None:
-        """Its derivative by the velocity, a bilinear form: symmetric."""
-        trial = ufl.TrialFunction(self._problem.W)
-        return None if self.none else sum(self._terms(trial))
+    def moduli(self, region: MaterialRegion) -> Expr | None:
+        """Of a region what adds to dP/dF in the tangent, 3x3x3x3 [Pa]; None where nothing damps.
 
-    def stiffening(self) -> ufl.Form | None:
-        """What of its derivative by the displacement is symmetric: grad du S : grad v.
-
-        The rest is small, of the strain within a step over one.
+        The derivative of the damping stress by the velocity's gradient, times `shift`: symmetric;
+        and of that by the displacement what is symmetric, grad du S : grad v.  The rest is small,
+        of the strain within a step over one.
         """
-        forms = []
-        for region in self._problem.regions:
-            viscous = region.law.viscosity is not None
-            if (viscous or self._stiffness is not None) and not region.law.linear:
-                S = ufl.inv(self._F) * self._stress(region, self.rate)
-                trial = self._gradient(ufl.TrialFunction(self._problem.W))
-                forms.append(ufl.inner(trial * S, self._test) * self._volume(region))
-        return sum(forms) if forms else None
+        if region.law.viscosity is None and self._stiffness is None:
+            return None
+        i, j, k, m = ufl.indices(4)
+        one, moduli = ufl.Identity(3), []
+        fixed = [] if region.law.linear else [ufl.inv(self._F) * self._stress(region, self.rate)]
+        if region.law.viscosity is not None:
+            G = ufl.variable(self._gradient(self.rate))
+            moduli.append(self.shift * ufl.diff(self._viscous(region, G), G))
+        if self._stiffness is not None:
+            H, F = variables(self._F)
+            P, factor = self._elastic_stress(region, F), self.shift * self._stiffness
+            moduli.append(factor * ufl.diff(P, H))
+            if not region.law.linear:
+                fixed.append(-factor * ufl.inv(F) * P)
+        moduli += [ufl.as_tensor(one[i, k] * S[j, m], (i, j, k, m)) for S in fixed]
+        return sum(moduli[1:], moduli[0])
 
-    def _terms(self, rate: Expr) -> list[ufl.Form]:
-        problem, terms = self._problem, []
-        if self._mass is not None:
-            v = problem.unknowns.displacement(rate)
-            terms.append(self._mass * problem.weak_form.inertia(v, problem.v))
-        for region in problem.regions:
+    def tangent(self) -> ufl.Form:
+        """Its part of the tangent as a form, which may be empty."""
+        form, (i, j, k, m) = ufl.Form([]), ufl.indices(4)
+        trial = self._gradient(ufl.TrialFunction(self._problem.W))
+        for region in self._problem.regions:
+            if (A := self.moduli(region)) is not None:
+                change = ufl.as_tensor(A[i, j, k, m] * trial[k, m], (i, j))
+                form += ufl.inner(change, self._test) * self._volume(region)
+        return form
+
+    def _terms(self) -> list[ufl.Form]:
+        terms = list[ufl.Form]()
+        for region in self._problem.regions:
             if region.law.viscosity is not None:
-                viscous = self._viscous(region, rate)
+                viscous = self._viscous(region, self._gradient(self.rate))
                 terms.append(ufl.inner(viscous, self._test) * self._volume(region))
             if self._stiffness is not None:
-                terms.append(self._elastic(region, rate))
+                elastic = ufl.inner(self._rate_of(region, self.rate), self._test)
+                terms.append(elastic * self._volume(region))
         return terms
 
     # --- stresses ---
@@ -166,37 +174,34 @@ class Damping:
     def _volume(self, region: MaterialRegion) -> ufl.Form:
         return self._problem.weak_form.volume(region, self._problem.weak_form.rule(region))
 
-    def _viscous(self, region: MaterialRegion, rate: Expr) -> Expr:
-        eta, dF, F = region.law.viscosity, self._gradient(rate), self._F
+    def _viscous(self, region: MaterialRegion, dF: Expr) -> Expr:
+        eta, F = region.law.viscosity, self._F
         assert eta is not None
         if region.law.linear:
             return 2 * eta * ufl.sym(dF)
         return F * (2 * eta * ufl.sym(F.T * dF))
 
-    def _elastic_stress(self, region: MaterialRegion) -> Expr:
+    def _elastic_stress(self, region: MaterialRegion, F: Expr) -> Expr:
         law: Law | ModifiedLaw = region.law
         if region.compliance is not None:
             assert isinstance(region.law, SplitLaw)
             law = _Shape(region.law)
         growth = self._problem.eigenstrains.get(region.name)
-        return (law if growth is None else GrownLaw(law, growth)).stress(self._F)
+        return (law if growth is None else GrownLaw(law, growth)).stress(F)
 
     def _rate_of(self, region: MaterialRegion, rate: Expr) -> Expr:
         """b F Sdot = b (Pdot - Fdot F^-1 P), b Pdot in laws of small strains."""
-        P = self._elastic_stress(region)
+        P = self._elastic_stress(region, self._F)
         dP = ufl.derivative(P, self._problem.w, rate)
         if not region.law.linear:
             dP = dP - self._gradient(rate) * ufl.inv(self._F) * P
         return self._stiffness * dP
 
-    def _elastic(self, region: MaterialRegion, rate: Expr) -> ufl.Form:
-        return ufl.inner(self._rate_of(region, rate), self._test) * self._volume(region)
-
     def _stress(self, region: MaterialRegion, rate: Expr) -> Expr:
         """All damping stress of a region."""
         result = 0 * self._F
         if region.law.viscosity is not None:
-            result += self._viscous(region, rate)
+            result += self._viscous(region, self._gradient(rate))
         if self._stiffness is not None:
             result += self._rate_of(region, rate)
         return result

@@ -21,6 +21,7 @@ from dolfin_elastic.core.timing import stage
 from dolfin_elastic.core.types import FloatArray, IndexArray
 from dolfin_elastic.mesh.body import middle_of
 from dolfin_elastic.model.kinematics import moment_of
+from dolfin_elastic.problem.damping import Damping
 from dolfin_elastic.problem.problem import Problem, configuration_of_moments, parts_held
 from dolfin_elastic.problem.state import Moment
 from dolfin_elastic.problem.term import Blocks, Term
@@ -28,6 +29,7 @@ from dolfin_elastic.solvers.assembly.cell_stress import CellStress
 from dolfin_elastic.solvers.assembly.dofs import ConstrainedDofs
 from dolfin_elastic.solvers.assembly.matrix import BilinearForm, ConstrainedMatrix, TangentMatrix
 from dolfin_elastic.solvers.assembly.node_blocks import NodeBlocks
+from dolfin_elastic.solvers.assembly.scalar_mass import InertiaForces
 from dolfin_elastic.solvers.assembly.symmetric.matrix import SymmetricMatrix, can_be_halved
 from dolfin_elastic.solvers.assembly.two_stage.form import TwoStageForm, tangent_form
 from dolfin_elastic.solvers.petsc.aij import SumOfTwo
@@ -176,26 +178,36 @@ class Tangent:
     Args:
         dofs: The unknowns and what is prescribed of them.
         form: Of what is integrals; the blocks of the problem's terms come to it.
+        inertia: What it has in motion, too; None: nothing.
         iterated: Only products and the diagonal are asked for, until `to_entries`: where it can
             be, it is then kept as `SymmetricBlocks`.
 
     Attributes:
         form: The compiled bilinear form.
         matrix: The tangent; owned here.
+        beside: What is not in the form.
         pattern: Grows whenever `matrix` has other entries.
     """
 
-    def __init__(self, dofs: ConstrainedDofs, form: BilinearForm, *, iterated: bool) -> None:
-        self._dofs, self.form = dofs, form
+    def __init__(
+        self,
+        dofs: ConstrainedDofs,
+        form: BilinearForm,
+        *,
+        inertia: InertiaForces | None = None,
+        iterated: bool,
+    ) -> None:
+        self._dofs, self.form, self._inertia = dofs, form, inertia
         self.blocks: NodeBlocks | None = None
         if dofs.problem.terms.blocks() is not None:
             self.blocks = NodeBlocks(dofs, self._blocks_of_terms)
+        self.beside = [part for part in (self.blocks, inertia) if part is not None]
         self._shift: float | None = None
         self._sum: SumOfTwo | None = None
         with stage("assemble"):
             self._assembled: TangentMatrix | SymmetricMatrix
             if iterated and isinstance(form, TwoStageForm) and can_be_halved(dofs, form):
-                self._assembled = SymmetricMatrix(dofs, form, self.blocks)
+                self._assembled = SymmetricMatrix(dofs, form, self.blocks, inertia)
             else:
                 self._assembled = self._by_entries()
         self._take(self._assembled.petsc)
@@ -208,7 +220,7 @@ class Tangent:
     def _by_entries(self) -> TangentMatrix:
         dofs = self._dofs
         fixed = None if dofs.level is None else (dofs.fixed_pressures, dofs.level.pivots)
-        return TangentMatrix(self.form, fixed=fixed)
+        return TangentMatrix(self.form, fixed=fixed, inertia=self._inertia)
 
     def _take(self, matrix: PETSc.Mat) -> None:
         dofs, self.pattern, self._sum = self._dofs, 0, None
@@ -331,6 +343,7 @@ class Residual:
     Args:
         dofs: The unknowns and what is prescribed of them.
         reactions: Loads at points, and the scale of restraints.
+        inertia: Forces beside this work; None: nothing.
 
     Attributes:
         work: As given.
@@ -344,9 +357,15 @@ class Residual:
     """
 
     def __init__(
-        self, dofs: ConstrainedDofs, work: ufl.Form, tangent: Tangent, reactions: Reactions
+        self,
+        dofs: ConstrainedDofs,
+        work: ufl.Form,
+        tangent: Tangent,
+        reactions: Reactions,
+        inertia: InertiaForces | None,
     ) -> None:
         self._dofs, self.work, self._tangent, self._reactions = dofs, work, tangent, reactions
+        self._inertia = inertia
         self._parts: tuple[CellIntegrals | None, fem.Form | None] | None = None
         self._along: tuple[fem.Function, fem.Form] | None = None
         self.vector, self._lift = dofs.ghosted_vector(), dofs.ghosted_vector()
@@ -381,6 +400,8 @@ class Residual:
             cells.add_to(self.vector.array)
         if others is not None:
             fem.assemble_vector(self.vector.array, others)
+        if self._inertia is not None:
+            self._inertia.add_forces(self.vector.array)
         self._reactions.add_terms(self.vector.array, -1.0, restraining=None)
         self.vector.scatter_reverse(la.InsertMode.add)
         if self._dofs.tied:
@@ -411,7 +432,7 @@ class Residual:
             out = dofs.balanced(self.owned)
             self._measure(out, differences)
             if self.gap > 0.0 and np.isfinite(self.free_norm):
-                dofs.lift(self._tangent.form, differences, self._lift, self._tangent.blocks)
+                dofs.lift(self._tangent.form, differences, self._lift, self._tangent.beside)
                 # A support that turns keeps the volume, but its chord does not: the rest of a fixed
                 # pressure's row would change the volume of the cells around that one.
                 out = out + dofs.balanced(dofs.collect(self._lift.array[: dofs.size]))
@@ -460,7 +481,10 @@ class Assembler(ConstrainedDofs):
 
     Args:
         problem: Whose residual and tangent; its unknowns are changed by every evaluation.
-        extra: Terms added to the residual, for example inertia.
+        extra: Terms added to the residual, for example damping.
+        extra_tangent: The same of the tangent.
+        inertia: That of a motion; None: nothing.
+        damping: Whose moduli are in the tangent; None: nothing.
         displacement_fixed: All displacements are prescribed: only the scalar fields are unknown.
         iterated: See `Tangent`.
 
@@ -478,6 +502,8 @@ class Assembler(ConstrainedDofs):
         *,
         extra: ufl.Form | None = None,
         extra_tangent: ufl.Form | None = None,
+        inertia: InertiaForces | None = None,
+        damping: Damping | None = None,
         displacement_fixed: bool = False,
         iterated: bool = False,
     ) -> None:
@@ -491,8 +517,9 @@ class Assembler(ConstrainedDofs):
         self.cell = None if problem.cell is None else CellStress(problem)
         self.pressures = problem.unknowns.count("pressure")
         self.reactions = Reactions(self, forms[0] if loads else None, by_label, self.cell)
-        self.tangent = Tangent(self, tangent_form(problem, extra_tangent), iterated=iterated)
-        self.residual = Residual(self, residual, self.tangent, self.reactions)
+        form = tangent_form(problem, extra_tangent, damping)
+        self.tangent = Tangent(self, form, inertia=inertia, iterated=iterated)
+        self.residual = Residual(self, residual, self.tangent, self.reactions, inertia)
 
     def check_volumes(self) -> None:
         """Compares the volumes of enclosed bodies with what supports leave them. Collective.

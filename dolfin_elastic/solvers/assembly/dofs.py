@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Protocol
 
 import numpy as np
@@ -151,14 +152,14 @@ class ConstrainedDofs(Rows):
         form: BilinearForm,
         differences: FloatArray,
         out: la.Vector,
-        blocks: Multiplied | None = None,
+        beside: Sequence[Multiplied] = (),
     ) -> None:
         """Product of the tangent's prescribed columns and g - x, for the free rows. Collective.
 
         Args:
             differences: Of `differences`: x - g [m].
             out: Receives K (g - x) [N], owned entries.
-            blocks: What K has beside the form, such as `NodeBlocks`; None: nothing.
+            beside: What K has beside the form, such as `NodeBlocks`.
         """
         w, values = self.problem.w.x.array, self._values
         saved = values.x.array.copy()
@@ -171,8 +172,8 @@ class ConstrainedDofs(Rows):
             out.array[:] = 0.0
             form.lift(out.array, self._lifted_bcs, values.x.array, w)
             out.scatter_reverse(la.InsertMode.add)
-            if blocks is not None:
-                out.array[: self.size] -= blocks.times(moved)
+            for part in beside:
+                out.array[: self.size] -= part.times(moved)
         finally:
             values.x.array[:] = saved
 

@@ -2,82 +2,59 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import ufl
 from dolfinx import fem, la
-from mpi4py import MPI
 
+from dolfin_elastic.core.parallel import total
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.model.kinematics import moment_of
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.solvers.assembly.assembler import Assembler, compiled
 
 
-def _cross(r: ufl.core.expr.Expr, w: ufl.core.expr.Expr) -> list[ufl.core.expr.Expr]:
-    if len(r) == 2:
-        return [r[0] * w[1] - r[1] * w[0]]
-    c = ufl.cross(r, w)
-    return [c[0], c[1], c[2]]
-
-
-class ConsistentMass:
-    """Kinetic energy and momenta as integrals over the body.
+class NodalMass:
+    """Kinetic energy and momenta, as sums over the nodes.
 
     Args:
         problem: The body; its displacement gives the current places.
+        v: Its velocity [m/s].
+        times: Gives M v, owned entries, of those of v.
     """
 
-    def __init__(self, problem: Problem, v: fem.Function) -> None:
-        x = ufl.SpatialCoordinate(problem.body.mesh) + problem.u
-        terms = [ufl.inner(v, v) / 2, *v, *_cross(x, v)]
-        degree = 2 * problem.degree + 1
-        forms = [
-            sum(
-                problem.context.density(region) * term * problem.weak_form.volume(region, degree)
-                for region in problem.regions
-            )
-            + sum(rho * term * ds for rho, ds, _ in problem.context.masses())
-            for term in terms
-        ]
-        self._problem, self._forms = problem, compiled(problem, forms)
+    def __init__(
+        self, problem: Problem, v: fem.Function, times: Callable[[FloatArray], FloatArray]
+    ) -> None:
+        self._problem, self._v, self._times = problem, v, times
+        nodes = problem.V.dofmap.index_map.size_local
+        self._X = problem.places[:nodes, : problem.body.dim]
 
     def measure(self) -> tuple[float, FloatArray, FloatArray]:
         """Kinetic energy [J], linear [kg m/s] and angular [kg m^2/s] momentum. Collective."""
-        local = np.array([fem.assemble_scalar(form) for form in self._forms])
-        return _summed(self._problem, local)
+        X, dim = self._X, self._problem.body.dim
+        u, v = (f.x.array[: X.size].reshape(X.shape) for f in (self._problem.u, self._v))
+        p = self._times(v.reshape(-1)).reshape(X.shape)
+        spin = moment_of(X + u, p).sum(axis=0)
+        sums = np.concatenate([[0.5 * np.sum(p * v)], p.sum(axis=0), spin])
+        sums = total(self._problem.body.comm, sums)
+        if self._problem.geometry == "axisymmetric":  # of the ring only the axial one is not zero
+            sums[1], sums[1 + dim :] = 0.0, 0.0
+        return float(sums[0]), sums[1 : 1 + dim], sums[1 + dim :]
 
 
-class LumpedMass:
-    """The same sums for a mass lumped at the nodes, as the explicit schemes see it.
+class LumpedMass(NodalMass):
+    """The same of a mass lumped at the nodes, as the explicit schemes see it.
 
     Args:
         problem: The body; its displacement gives the current places.
+        v: Its velocity [m/s].
         mass: Mass at every owned entry, unrolled [kg].
     """
 
     def __init__(self, problem: Problem, v: fem.Function, mass: FloatArray) -> None:
-        self._problem, self._v = problem, v
-        self._mass = mass.reshape(-1, problem.V.dofmap.index_map_bs)
-        self._X = problem.places[: len(self._mass)]
-
-    def measure(self) -> tuple[float, FloatArray, FloatArray]:
-        """Kinetic energy [J], linear [kg m/s] and angular [kg m^2/s] momentum. Collective."""
-        shape = self._mass.shape
-        u = self._problem.u.x.array[: self._mass.size].reshape(shape)
-        v = self._v.x.array[: self._mass.size].reshape(shape)
-        p = self._mass * v
-        x = self._X[:, : shape[1]] + u
-        spin = moment_of(x, p).sum(axis=0)
-        local = np.concatenate([[0.5 * np.sum(p * v)], p.sum(axis=0), spin])
-        return _summed(self._problem, local)
-
-
-def _summed(problem: Problem, local: FloatArray) -> tuple[float, FloatArray, FloatArray]:
-    """Energy, linear and angular momentum of all ranks. Collective."""
-    sums, dim = problem.body.comm.allreduce(local, op=MPI.SUM), problem.body.dim
-    if problem.geometry == "axisymmetric":  # only the axial momentum of the ring is not zero
-        sums[1], sums[1 + dim :] = 0.0, 0.0
-    return float(sums[0]), sums[1 : 1 + dim], sums[1 + dim :]
+        super().__init__(problem, v, mass.__mul__)
 
 
 def lumped(problem: Problem, assembler: Assembler) -> FloatArray:

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import numpy as np
-import ufl
-from dolfinx import fem, la
+from dolfinx import fem
 from petsc4py import PETSc
 
 from dolfin_elastic.core.errors import ConvergenceError
 from dolfin_elastic.core.types import FloatArray
+from dolfin_elastic.problem.constraints.rows import Rows
 from dolfin_elastic.problem.problem import Problem
-from dolfin_elastic.solvers.assembly.assembler import Assembler, compiled
-from dolfin_elastic.solvers.assembly.matrix import BilinearForm, ConstrainedMatrix, TangentMatrix
+from dolfin_elastic.solvers.assembly.assembler import Assembler
+from dolfin_elastic.solvers.assembly.node_blocks import NodeBlocks
+from dolfin_elastic.solvers.assembly.scalar_mass import ScalarMass
 from dolfin_elastic.solvers.messages import linear
 from dolfin_elastic.solvers.petsc.options import ksp_reason
 
@@ -19,41 +20,60 @@ TOLERANCE = 1e-14
 """Relative residual of the initial acceleration: down to round-off."""
 
 
-def initial_acceleration(assembler: Assembler, prescribed: FloatArray, a: fem.Function) -> None:
+class _FreeMass:
+    """T^T M T, and ones elsewhere, as PETSc calls a matrix of type "python"."""
+
+    def __init__(self, mass: ScalarMass, rows: Rows) -> None:
+        self._mass, self._rows, self._diagonal = mass, rows, mass.diagonal()
+
+    def mult(self, matrix: PETSc.Mat, x: PETSc.Vec, y: PETSc.Vec) -> None:
+        """Collective."""
+        whole = x.array_r.copy()
+        moved = self._rows.free_part(whole)
+        self._rows.extend(moved)
+        forces = self._rows.free_part(self._rows.collect(self._mass.times(moved)))
+        y.array_w[:] = forces + self._rows.constrained_part(whole)
+
+    def getDiagonal(self, matrix: PETSc.Mat, diagonal: PETSc.Vec) -> None:
+        """That of M, which is near enough to scale by. Not collective."""
+        diagonal.array_w[:] = self._diagonal
+
+
+def initial_acceleration(
+    assembler: Assembler, mass: ScalarMass, prescribed: FloatArray, a: fem.Function
+) -> None:
     """Finds the acceleration that goes with the forces in `assembler.residual.vector`. Collective.
 
     M a = -R where nothing is prescribed, R the forces out of balance without inertia; prescribed
-    components keep what is given.  The mass matrix is made, used once by conjugate gradients with
-    its diagonal, whose iterations do not depend on the mesh (A. J. Wathen, IMA J. Numer. Anal. 7
-    (1987) 449), and freed.
+    components keep what is given.  By conjugate gradients with the diagonal, whose iterations do
+    not depend on the mesh (A. J. Wathen, IMA J. Numer. Anal. 7 (1987) 449).
 
     Args:
         assembler: Of the moving body; its residual is assembled without inertia.
+        mass: Of its displacement.
         prescribed: Prescribed accelerations [m/s^2], like `Constraints.targets`.
         a: Receives the acceleration [m/s^2].
 
     Raises:
         ConvergenceError: A part of the body has no mass.
     """
-    problem, size = assembler.problem, len(assembler.displacement_dofs)
+    constraints, size = assembler.problem.constraints, len(assembler.displacement_dofs)
     a.x.array[:] = 0.0
-    problem.constraints.impose(a.x.array, prescribed)
-    a.x.scatter_forward()
-    rows = (
-        assembler.residual.vector.array[assembler.displacement_dofs] + _inertia(problem, a)[:size]
-    )
-    constraints, (plain, constrained) = problem.constraints, _matrix(problem)
-    matrix = constrained.matrix
+    constraints.impose(a.x.array, prescribed)
+    rows = assembler.residual.owned[assembler.displacement_dofs] + mass.times(a.x.array[:size])
+    sizes = ((size, None),) * 2
+    matrix = PETSc.Mat().createPython(sizes, _FreeMass(mass, constraints), assembler.comm)
+    matrix.setUp()
     x, b = matrix.createVecs()
     b.array_w[:] = -constraints.free_part(constraints.collect(rows))
-    ksp = PETSc.KSP().create(problem.body.comm)
+    ksp = PETSc.KSP().create(assembler.comm)
     ksp.setType("cg")
     ksp.getPC().setType("jacobi")
     ksp.setOperators(matrix)
     ksp.setTolerances(rtol=TOLERANCE, atol=1e-300, max_it=5000)
     ksp.solve(b, x)
     reason, converged = ksp.getConvergedReason(), constraints.free_part(x.array_r)
-    for thing in (ksp, x, b, constrained, plain):
+    for thing in (ksp, x, b, matrix):
         thing.destroy()
     # Round-off may keep it just above the tolerance: only a breakdown is a fault.
     if reason < 0 and reason != PETSc.KSP.ConvergedReason.DIVERGED_MAX_IT:
@@ -66,17 +86,21 @@ def initial_acceleration(assembler: Assembler, prescribed: FloatArray, a: fem.Fu
     a.x.scatter_forward()
 
 
-def mass_diagonal(assembler: Assembler) -> PETSc.Vec:
-    """Diagonal of the mass matrix at all unknowns that are free [kg]. Collective.
+def mass_diagonal(assembler: Assembler, mass: ScalarMass) -> PETSc.Vec:
+    """Diagonal of T^T M T at all unknowns that are free [kg]. Collective.
 
     The caller destroys it.
     """
-    (plain, constrained), out = _matrix(assembler.problem, 0.0), assembler.create_vector()
-    diagonal = constrained.matrix.getDiagonal()
-    out.array_w[assembler.displacement_dofs] = diagonal.array_r
+    out, rows = assembler.create_vector(), assembler.problem.constraints
+    if assembler.tied:
+        blocks = NodeBlocks(assembler, mass.blocks)
+        blocks.free().getDiagonal(out)
+        blocks.destroy()
+    else:
+        diagonal = mass.diagonal()
+        diagonal[rows.skew_dofs] *= 1 - np.einsum("nii->ni", rows.P)
+        out.array_w[assembler.displacement_dofs] = diagonal
     out.array_w[assembler.prescribed_dofs] = 0.0
-    for thing in (diagonal, constrained, plain):
-        thing.destroy()
     return out
 
 
@@ -116,30 +140,3 @@ def prescribed_rates(problem: Problem, t: float, h: float) -> tuple[FloatArray, 
     before, now, after = (velocity(at) for at in (t - h / 2, t, t + h / 2))
     now, after = (np.where(np.isfinite(v), v, before) for v in (now, after))
     return now, np.asarray((after - before) / h)
-
-
-def _inertia(problem: Problem, a: fem.Function) -> FloatArray:
-    """M a, local entries of which the owned ones are complete. Collective."""
-    V = problem.V
-    form = compiled(problem, [problem.weak_form.inertia(a, ufl.TestFunction(V))])[0]
-    out = la.vector(V.dofmap.index_map, V.dofmap.index_map_bs)
-    fem.assemble_vector(out.array, form)
-    out.scatter_reverse(la.InsertMode.add)
-    return out.array
-
-
-def _matrix(problem: Problem, unit: float | None = None) -> tuple[TangentMatrix, ConstrainedMatrix]:
-    """The mass matrix, and with its constraints; the caller destroys both. Collective.
-
-    Args:
-        unit: See `ConstrainedMatrix.renew`.
-    """
-    trial, test = ufl.TrialFunction(problem.V), ufl.TestFunction(problem.V)
-    plain = TangentMatrix(
-        BilinearForm(compiled(problem, [problem.weak_form.inertia(trial, test)])[0])
-    )
-    plain.assemble(problem.constraints.bcs)
-    every = np.arange(plain.petsc.getLocalSize()[0])
-    constrained = ConstrainedMatrix(problem, problem.constraints, plain.petsc, every)
-    constrained.renew(unit)
-    return plain, constrained

@@ -11,12 +11,14 @@ from collections.abc import Sequence
 
 import numpy as np
 from dolfinx import fem, la
+from numpy.typing import NDArray
 from petsc4py import PETSc
 
 from dolfin_elastic.core.parallel import total
 from dolfin_elastic.core.types import BoolArray, FloatArray, IndexArray, IntArray
 from dolfin_elastic.problem.constraints.rows import Rows
 from dolfin_elastic.problem.problem import Problem
+from dolfin_elastic.solvers.assembly.scalar_mass import InertiaForces
 from dolfin_elastic.solvers.petsc.aij import from_entries
 from dolfin_elastic.solvers.petsc.c_api import overwrite_aij
 
@@ -64,12 +66,21 @@ class BilinearForm:
         fem.apply_lifting(out, [self.form], [list(bcs)], [w], -1.0)
 
 
+def marked(bcs: Conditions, size: int) -> NDArray[np.int8]:
+    """1 at entries that are prescribed, else 0."""
+    marks = np.zeros(size, dtype=np.int8)
+    for bc in bcs:
+        marks[bc.dof_indices()[0]] = 1
+    return marks
+
+
 class TangentMatrix:
     """A PETSc matrix that is assembled from one bilinear form again and again.
 
     Args:
         form: Compiled bilinear form; its sparsity is fixed here. Collective.
         fixed: Owned rows of fixed unknowns, and their diagonal in place of ones.
+        inertia: What is added to the form; None: nothing.
 
     Attributes:
         petsc: The PETSc matrix, owned here.
@@ -80,8 +91,9 @@ class TangentMatrix:
         form: BilinearForm,
         *,
         fixed: tuple[IndexArray, FloatArray] | None = None,
+        inertia: InertiaForces | None = None,
     ) -> None:
-        self._form = form
+        self._form, self._inertia = form, inertia
         self._native = form.matrix()
         self._shared = form.form.mesh.comm.size == 1
         self.petsc = self._sharing_values() if self._shared else self._like_native()
@@ -169,6 +181,8 @@ class TangentMatrix:
         """
         self._native.data[:] = 0.0
         self._form.assemble(self._native, bcs)
+        if self._inertia is not None:
+            self._inertia.add_to_rows(self._native, marked(bcs, len(self._native.indptr) - 1))
         self._native.scatter_reverse()
         if self._fixed is not None:
             self._native.data[self._fixed[0]] = self._fixed[1]

@@ -98,7 +98,7 @@ def find_initial_acceleration(
             "damps (generalized-alpha with a spectral_radius of 0.5)"
         )
     if not (partly_incompressible(problem) and small):
-        initial_acceleration(moving.assembler, prescribed, a)
+        initial_acceleration(moving.assembler, moving.inertia.mass, prescribed, a)
         return
     a.x.array[:] = 0.0
     problem.constraints.impose(a.x.array, prescribed)
@@ -175,7 +175,7 @@ class _IncompressibleStart:
             self._ksp.setUp()
 
     def _tangent(self, shift: float) -> None:
-        self._moving.acceleration_shift.value = shift
+        self._moving.acceleration_shift = shift
         self._a.get(self._x)
         self._a.tangent.invalidate()
         self._a.tangent.assemble(self._x, shift, unit=1.0)

@@ -19,8 +19,8 @@ from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.problem.term_list import forms_of
 from dolfin_elastic.problem.weak_form import derives_from_strain
 from dolfin_elastic.solvers.assembly.assembler import Assembler, compiled
-from dolfin_elastic.solvers.assembly.energy_momentum import lumped
 from dolfin_elastic.solvers.assembly.mass import mass_diagonal
+from dolfin_elastic.solvers.assembly.scalar_mass import InertiaForces, ScalarMass
 
 
 @dataclass(frozen=True)
@@ -68,9 +68,11 @@ class DynamicResidual:
         problem: What moves; of steps, if `over_step` has made it.
         mass: Rayleigh's factor of the mass [1/s].
         stiffness: Rayleigh's factor of the stiffness [s].
+        iterated: See `Tangent`.
 
     Attributes:
         assembler: Residual with inertia and damping; owned here.
+        inertia: Mass and rates in it.
         displacement_dofs: Owned entries of all unknowns that are displacements.
         auxiliary_dofs: The other owned entries: scalar fields, which have no inertia.
         acceleration_shift: Derivative of the acceleration by the displacement in the tangent
@@ -81,25 +83,33 @@ class DynamicResidual:
         norm: Of the inertia forces at the stage that Newton's method solves for [N].
     """
 
-    def __init__(self, problem: Problem, *, mass: float = 0.0, stiffness: float = 0.0) -> None:
+    def __init__(
+        self,
+        problem: Problem,
+        *,
+        mass: float = 0.0,
+        stiffness: float = 0.0,
+        iterated: bool = False,
+    ) -> None:
         self.problem, self.comm = problem, problem.body.comm
-        self._a = fem.Function(problem.V, name="acceleration in the residual")
         self.damping = Damping(problem, mass, stiffness)
-        self.acceleration_shift, self.velocity_shift = problem.constant(0.0), problem.constant(0.0)
-        inertia = problem.weak_form.inertia(self._a, problem.v)
-        work = self.damping.work()
+        self.acceleration_shift, self.velocity_shift = 0.0, self.damping.shift
+        trial = problem.unknowns.displacement(ufl.TrialFunction(problem.W))
+        dashpots, work = problem.weak_form.damping(trial), self.damping.work()
+        self.inertia = InertiaForces(problem, ScalarMass(problem), self._mass_in_tangent)
         self.assembler = Assembler(
             problem,
-            extra=inertia if work is None else inertia + work,
-            extra_tangent=self._tangent(),
+            extra=work,
+            extra_tangent=None if dashpots is None else self.velocity_shift * dashpots,
+            inertia=self.inertia,
+            damping=self.damping,
+            iterated=iterated,
         )
         self.displacement_dofs = self.assembler.displacement_dofs
         self.auxiliary_dofs = np.setdiff1d(np.arange(self.assembler.size), self.displacement_dofs)
         against = problem.weak_form.damping()
         forms = {
-            "inertia": inertia,
             "damping": work,
-            "drag": self.damping.drag(),
             "dashpots": None if against is None else -against,
         }
         named = {name: form for name, form in forms.items() if form is not None}
@@ -113,18 +123,14 @@ class DynamicResidual:
         others = {term.label for term in problem.terms if term.pose is None}
         self._adds_restraint = [term.label not in others for term in self.obstacles]
         self._contact_labels = {term.label for term in self.obstacles} - others
-        self._mass = np.abs(lumped(problem, self.assembler))
-        self.mass, self.norm = mass_diagonal(self.assembler), 0.0
+        self._a: FloatArray = np.zeros(len(self.displacement_dofs))
+        self._drag: FloatArray = self._a
+        self._lumped = np.abs(self.inertia.mass.times(np.ones(len(self.displacement_dofs))))
+        self.mass, self.norm = mass_diagonal(self.assembler, self.inertia.mass), 0.0
 
-    def _tangent(self) -> ufl.Form:
-        problem = self.problem
-        trial = problem.unknowns.displacement(ufl.TrialFunction(problem.W))
-        tangent = self.acceleration_shift * problem.weak_form.inertia(trial, problem.v)
-        for damping in (problem.weak_form.damping(trial), self.damping.tangent()):
-            if damping is not None:
-                tangent += self.velocity_shift * damping
-        stiffening = self.damping.stiffening()
-        return tangent if stiffening is None else tangent + stiffening
+    def _mass_in_tangent(self) -> float:
+        drag = self.damping.mass * float(self.velocity_shift.value)
+        return self.acceleration_shift + drag
 
     def set_rates(self, v: FloatArray, a: FloatArray) -> None:
         """Sets the rates at which the residual is assembled. Collective.
@@ -133,21 +139,15 @@ class DynamicResidual:
             v: Velocity, owned entries [m/s].
             a: Acceleration, owned entries [m/s^2].
         """
-        self._a.x.array[: len(a)] = a
-        self._a.x.scatter_forward()
-        self.set_velocity(v)
-
-    def set_velocity(self, v: FloatArray) -> None:
-        """Sets the velocity of dashpots and damping. Collective.
-
-        Args:
-            v: Velocity, owned entries [m/s].
-        """
+        self._drag = self.damping.mass * v
+        self._a, rates = a.copy(), self.inertia.rates.x
+        rates.array[: len(a)] = a + self._drag
+        rates.scatter_forward()
         if self.problem.dashpots:
             velocity = self.problem.context.velocity.x
             velocity.array[: len(v)] = v
             velocity.scatter_forward()
-        if not self.damping.none:
+        if self.damping.inside:
             self.damping.set_velocity(v)
 
     def set_unknowns(self, w: FloatArray) -> None:
@@ -177,18 +177,14 @@ class DynamicResidual:
         Args:
             v: Velocity, owned entries [m/s].
         """
-        a = self._a.x.array
-        before = a.copy()
-        a[: len(v)] = v
-        self._a.x.scatter_forward()
-        forces = self.assembler.reactions.nodal(self._forms["inertia"]).copy()
-        a[:] = before
+        forces = np.zeros(self.assembler.size)
+        forces[self.displacement_dofs] = self.inertia.mass.times(v)
         return forces
 
     @property
     def factor(self) -> float:
         """Factor of the mass matrix in the tangent [1/s^2], as `Newton` asks for it."""
-        return float(self.acceleration_shift.value)
+        return self.acceleration_shift
 
     def set_stage_rates(self, v: FloatArray, a: FloatArray) -> None:
         """Sets the rates of a stage, and `norm`, by which its residual is judged. Collective.
@@ -201,7 +197,7 @@ class DynamicResidual:
         """
         self.set_rates(v, a)
         with np.errstate(over="ignore", invalid="ignore"):
-            self.norm = float(np.sqrt(total(self.comm, np.sum((self._mass * a) ** 2))))
+            self.norm = float(np.sqrt(total(self.comm, np.sum((self._lumped * a) ** 2))))
 
     @property
     def conserves(self) -> bool:
@@ -256,6 +252,7 @@ class DynamicResidual:
         a = self.assembler
         nothing = np.zeros(a.size)
         nodal = {name: a.reactions.nodal(form).copy() for name, form in self._forms.items()}
+        drag = nothing if self.damping.mass == 0.0 else self.momentum(self._drag)
         contact, restraints = self.contact_forces(), a.reactions.restraints(self._contact_labels)
         restraints[self.displacement_dofs] += contact[self._adds_restraint].sum(axis=0)
         return Forces(
@@ -265,9 +262,9 @@ class DynamicResidual:
             restraints=restraints,
             dashpots=nodal.get("dashpots", nothing),
             contact=contact,
-            inertia=nodal["inertia"],
-            damping=nodal.get("damping", nothing),
-            drag=nodal.get("drag", nothing),
+            inertia=self.momentum(self._a),
+            damping=nodal.get("damping", nothing) + drag,
+            drag=drag,
             ties=a.residual.tied_nodal,
         )
 

@@ -23,7 +23,7 @@ from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.problem.term import Term
 from dolfin_elastic.problem.term_list import forms_of
 from dolfin_elastic.solvers.assembly.assembler import Assembler, compiled, integral
-from dolfin_elastic.solvers.assembly.energy_momentum import ConsistentMass, LumpedMass
+from dolfin_elastic.solvers.assembly.energy_momentum import NodalMass
 from dolfin_elastic.solvers.assembly.nodal_forces import Forces as NodalForces
 from dolfin_elastic.solvers.audit.equilibrium import EnergyBook
 from dolfin_elastic.solvers.dynamics.implicit.volume_constraint import PressureEnergy
@@ -64,7 +64,7 @@ class MotionBook(EnergyBook):
     def __init__(
         self,
         problem: Problem,
-        inertia: ConsistentMass | LumpedMass,
+        inertia: NodalMass,
         work: Work,
         pressure: PressureEnergy | None = None,
     ) -> None:

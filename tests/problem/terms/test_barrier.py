@@ -36,7 +36,7 @@ from dolfin_elastic.mesh.geometry.simplices import (
 from dolfin_elastic.model.amplitude import CONSTANT
 from dolfin_elastic.problem.state import State, StateCopy
 from dolfin_elastic.problem.terms.bodies.barrier import Barrier
-from dolfin_elastic.solvers.assembly.energy_momentum import ConsistentMass
+from dolfin_elastic.solvers.assembly.energy_momentum import NodalMass
 from dolfin_elastic.solvers.audit.equilibrium import EnergyBook
 from dolfin_elastic.solvers.dynamics.implicit.gain import GainRemoval
 from dolfin_elastic.solvers.dynamics.residual import DynamicResidual
@@ -194,7 +194,7 @@ def test_a_gain_is_taken_out_without_a_change_of_momenta(dim):
     problem = blocks(dim, 1, fixed=False)
     press(problem, 0.01)
     moving, v = DynamicResidual(problem), fem.Function(problem.V)
-    mass, book = ConsistentMass(problem, v), EnergyBook(problem, ("contact",))
+    mass, book = NodalMass(problem, v, moving.inertia.mass.times), EnergyBook(problem, ("contact",))
     removal = GainRemoval(moving, book, EnergyBalance(moving, v), v)
     x = problem.places[:, :dim]
     v.x.array[:] = (np.cos(3 * x) - 0.2 * x[:, ::-1]).ravel()

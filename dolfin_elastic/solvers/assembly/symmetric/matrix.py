@@ -6,7 +6,9 @@ from petsc4py import PETSc
 
 from dolfin_elastic.core.types import IntArray
 from dolfin_elastic.solvers.assembly.dofs import ConstrainedDofs
+from dolfin_elastic.solvers.assembly.matrix import marked
 from dolfin_elastic.solvers.assembly.node_blocks import NodeBlocks, node_blocks
+from dolfin_elastic.solvers.assembly.scalar_mass import InertiaForces
 from dolfin_elastic.solvers.assembly.symmetric.blocks import SymmetricBlocks
 from dolfin_elastic.solvers.assembly.two_stage.form import TwoStageForm
 
@@ -17,14 +19,21 @@ class SymmetricMatrix:
     Args:
         dofs: Whose displacement is the only unknown.
         more: Symmetric blocks beside those of the form; None without any.
+        inertia: What is added, too; None: nothing.
 
     Attributes:
         petsc: The PETSc matrix, of type "python", owned here.
         blocks: Its blocks; others as soon as `more` has other pairs of nodes.
     """
 
-    def __init__(self, dofs: ConstrainedDofs, form: TwoStageForm, more: NodeBlocks | None) -> None:
-        self._dofs, self._form, self._more = dofs, form, more
+    def __init__(
+        self,
+        dofs: ConstrainedDofs,
+        form: TwoStageForm,
+        more: NodeBlocks | None = None,
+        inertia: InertiaForces | None = None,
+    ) -> None:
+        self._dofs, self._form, self._more, self._inertia = dofs, form, more, inertia
         self._rest = NodeBlocks(dofs, form.rest_blocks) if form.has_rest else None
         self._parts = [part for part in (self._rest, more) if part is not None]
         self._patterns: list[int] = []
@@ -46,6 +55,9 @@ class SymmetricMatrix:
             self._places = [self.blocks.places(*part[:2]) for part in parts]
             self._patterns = patterns
         self._form.assemble_half(self.blocks, self._dofs.bcs)
+        if self._inertia is not None:
+            fixed = marked(self._dofs.bcs, self.blocks.dim * self.blocks.halo.size)
+            self._inertia.add_to_half(self.blocks, fixed)
         for coordinates, part in zip(self._places, parts, strict=True):
             self.blocks.add_at(coordinates, part[2])
         self.blocks.assembled(self._dofs.prescribed_dofs)

@@ -25,11 +25,12 @@ from dolfin_elastic.core.jit.cell_integrals import CellExpression, Loops
 from dolfin_elastic.core.parallel import total
 from dolfin_elastic.core.types import AnyArray, BoolArray, FloatArray, IndexArray, IntArray
 from dolfin_elastic.model.kinematics import variables
+from dolfin_elastic.problem.damping import Damping
 from dolfin_elastic.problem.material_regions import MaterialRegion
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.problem.term import Blocks
 from dolfin_elastic.problem.weak_form import UNUSED
-from dolfin_elastic.solvers.assembly.matrix import BilinearForm, Conditions
+from dolfin_elastic.solvers.assembly.matrix import BilinearForm, Conditions, marked
 from dolfin_elastic.solvers.assembly.symmetric.blocks import SymmetricBlocks
 
 BLOCK = 262144
@@ -60,12 +61,16 @@ def in_two_stages(problem: Problem) -> bool:
     return not total(problem.body.comm, int(apart.any()))
 
 
-def tangent_form(problem: Problem, extra: ufl.Form | None = None) -> BilinearForm:
+def tangent_form(
+    problem: Problem, extra: ufl.Form | None = None, damping: Damping | None = None
+) -> BilinearForm:
     """The compiled tangent of a problem and of what is added to it. Collective."""
     more = ufl.Form([]) if extra is None else extra
     if in_two_stages(problem):
-        return TwoStageForm(problem, tangent_of_external_terms(problem) + more)
+        return TwoStageForm(problem, tangent_of_external_terms(problem) + more, damping)
     form = problem.weak_form.tangent + more
+    if damping is not None:
+        form += damping.tangent()
     return BilinearForm(compile_forms(problem.body.comm, [form], problem.jit)[0])
 
 
@@ -79,7 +84,7 @@ def tangent_of_external_terms(problem: Problem) -> ufl.Form:
     return expand_derivatives(ufl.derivative(-work, problem.w, ufl.TrialFunction(problem.W)))
 
 
-def moduli(problem: Problem, region: MaterialRegion) -> Expr:
+def moduli(problem: Problem, region: MaterialRegion, damping: Damping | None = None) -> Expr:
     """What tangent.c contracts with shape functions, times the measure's weight.
 
     For each pair of components i and k of the displacement, i <= k where the tangent is symmetric,
@@ -89,19 +94,19 @@ def moduli(problem: Problem, region: MaterialRegion) -> Expr:
 
     Args:
         problem: That is `in_two_stages`.
+        damping: Whose moduli come to dP/dF.
     """
-    result = (
-        _of_displacement(problem, region) if problem.W is problem.V else _mixed(problem, region)
-    )
+    of_fields = _of_displacement if problem.W is problem.V else _mixed
+    result = of_fields(problem, region, None if damping is None else damping.moduli(region))
     weight = problem.weak_form.volume(region, problem.weak_form.rule(region)).weight
     return result if weight is None else weight * result
 
 
-def _of_displacement(problem: Problem, region: MaterialRegion) -> Expr:
+def _of_displacement(problem: Problem, region: MaterialRegion, more: Expr | None) -> Expr:
     weak_form = problem.weak_form
     H, F = variables(weak_form.F(problem.w))
     A = ufl.diff(weak_form.response(region, problem.w).stress(F), H)
-    return ufl.as_vector(_in_a_row(problem, A))
+    return ufl.as_vector(_in_a_row(problem, A if more is None else A + more))
 
 
 def _in_a_row(problem: Problem, A: Expr) -> list[Expr]:
@@ -111,14 +116,14 @@ def _in_a_row(problem: Problem, A: Expr) -> list[Expr]:
     return [A[i, J, k, L] for i, k in pairs for J in n for L in n]
 
 
-def _mixed(problem: Problem, region: MaterialRegion) -> Expr:
+def _mixed(problem: Problem, region: MaterialRegion, more: Expr | None) -> Expr:
     weak_form, n = problem.weak_form, range(problem.body.dim)
     scale = problem.unknowns.scale["pressure"]
     H, F = variables(weak_form.F(problem.w))
     p = ufl.variable(problem.unknowns.auxiliary("pressure", problem.w))
     P = weak_form.response(region, problem.w, pressure=p).stress(F)
     A = ufl.diff(P, H)
-    result = _in_a_row(problem, A)
+    result = _in_a_row(problem, A if more is None else A + more)
     if region.compliance is None:
         rows = 1 if problem.symmetric else 2
         result += [ufl.as_ufl(0.0)] * (rows * len(n) ** 2)
@@ -146,6 +151,7 @@ class TwoStageForm(BilinearForm):
 
     Args:
         rest: What it has beside that of the internal forces; may be empty.
+        damping: Whose stresses are internal forces, too.
 
     Attributes:
         can_be_halved: Beside it are integrals over facets at most, and the displacement is the only
@@ -153,7 +159,7 @@ class TwoStageForm(BilinearForm):
         has_rest: There is something beside it.
     """
 
-    def __init__(self, problem: Problem, rest: ufl.Form) -> None:
+    def __init__(self, problem: Problem, rest: ufl.Form, damping: Damping | None = None) -> None:
         mesh, W = problem.body.mesh, problem.W
         trial, test = ufl.TrialFunction(W), ufl.TestFunction(W)
         every_cell = ufl.dx(domain=mesh, metadata={"quadrature_degree": 0})
@@ -171,7 +177,7 @@ class TwoStageForm(BilinearForm):
         on_facets = all(one.integral_type() == "exterior_facet" for one in rest.integrals())
         self.can_be_halved = on_facets and W is problem.V
         self._half: SymmetricBlocks | None = None  # of which `_places` are
-        self._terms = [_Term(problem, region) for region in problem.regions]
+        self._terms = [_Term(problem, region, damping) for region in problem.regions]
         self._nodes, self._stride = _nodes(problem), _stride(problem)
         self._dim, self._displacements = problem.body.dim, problem.V.dofmap.list.shape[1]
         self._start: IntArray = np.empty(0, dtype=np.int64)
@@ -179,7 +185,7 @@ class TwoStageForm(BilinearForm):
 
     def assemble(self, matrix: la.MatrixCSR, bcs: Conditions) -> None:
         """See `BilinearForm.assemble`."""
-        fixed = _marked(bcs, len(matrix.indptr) - 1)
+        fixed = marked(bcs, len(matrix.indptr) - 1)
         if self._constant is not None:
             matrix.data[:] += self._of_constant(matrix, bcs, fixed)
         if self._rest is None:
@@ -227,7 +233,7 @@ class TwoStageForm(BilinearForm):
             self._places = np.zeros((len(self._nodes), pairs), dtype=np.uint16)
             self._find("find_upper_places", *pattern)
         blocks.clear()
-        fixed = _marked(bcs, self._dim * blocks.halo.size)
+        fixed = marked(bcs, self._dim * blocks.halo.size)
         offsets = (self._nodes, fixed, self._places, n, blocks.start, blocks.high, blocks.low)
         others = (len(far.start) - 1, far.start, far.columns, far.blocks)
         for term in self._terms:
@@ -251,7 +257,7 @@ class TwoStageForm(BilinearForm):
         for form in (self._constant, self._rest):
             if form is not None:
                 fem.apply_lifting(out, [form], [list(bcs)], [w], -1.0)
-        direction = np.where(_marked(bcs, len(w)), values - w, 0.0)
+        direction = np.where(marked(bcs, len(w)), values - w, 0.0)
         touched = self._touched(direction != 0.0)
         for term in self._terms:
             cells = term.cells[touched[term.cells]]
@@ -287,7 +293,7 @@ class TwoStageForm(BilinearForm):
 class _Term:
     """Moduli of one region, compiled, and what the kernel needs to know of its elements."""
 
-    def __init__(self, problem: Problem, region: MaterialRegion) -> None:
+    def __init__(self, problem: Problem, region: MaterialRegion, damping: Damping | None) -> None:
         mesh, mixed = problem.body.mesh, problem.W is not problem.V
         self.cells = np.ascontiguousarray(region.cells, dtype=np.int32)
         # At least what integrates the product of two pressures.
@@ -301,7 +307,7 @@ class _Term:
         self._tables = (gradients, pressures, corners, np.ascontiguousarray(weights))
         sizes |= {"NP": pressures.shape[1], "SYMMETRIC": int(problem.symmetric)}
         sizes |= {"STRIDE": _stride(problem)}
-        values, loops = moduli(problem, region), Loops("tangent.c", sizes)
+        values, loops = moduli(problem, region, damping), Loops("tangent.c", sizes)
         self.moduli = CellExpression(values, points, problem.w, problem.jit, loops)
         self._block = max(1, BLOCK // self.moduli.size)
 
@@ -347,14 +353,6 @@ def tabulated(
     gradients[:, :, :nodes] = shape.transpose(1, 0, 2)
     sizes = {"DIM": dim, "ND": nodes, "NDP": padded, "NG": corners.shape[1], "NQ": len(points)}
     return gradients, corners, sizes
-
-
-def _marked(bcs: Conditions, size: int) -> NDArray[np.int8]:
-    """1 at entries that are prescribed, else 0."""
-    marks = np.zeros(size, dtype=np.int8)
-    for bc in bcs:
-        marks[bc.dof_indices()[0]] = 1
-    return marks
 
 
 def _entries(problem: Problem) -> IndexArray:

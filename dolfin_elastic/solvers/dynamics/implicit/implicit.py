@@ -20,7 +20,7 @@ from dolfin_elastic.problem.state import RestartState, SavedState, State, restor
 from dolfin_elastic.problem.term_list import conserve_in_steps
 from dolfin_elastic.problem.weak_form import derives_from_strain
 from dolfin_elastic.solvers.assembly.assembler import SupportForces
-from dolfin_elastic.solvers.assembly.energy_momentum import ConsistentMass
+from dolfin_elastic.solvers.assembly.energy_momentum import NodalMass
 from dolfin_elastic.solvers.assembly.hydrostatic_constant import HydrostaticConstant
 from dolfin_elastic.solvers.diagnostics.diagnose import diagnose
 from dolfin_elastic.solvers.dynamics.audit import CONSERVING, MAX_ENERGY_GAIN, MotionAuditor
@@ -46,7 +46,7 @@ from dolfin_elastic.solvers.dynamics.residual import DynamicResidual
 from dolfin_elastic.solvers.dynamics.schemes import ImplicitRow
 from dolfin_elastic.solvers.dynamics.settings import DynamicsSettings
 from dolfin_elastic.solvers.dynamics.work import EnergyBalance, MotionBook
-from dolfin_elastic.solvers.linear.choice import LinearSettings, choose
+from dolfin_elastic.solvers.linear.choice import LinearSettings, choose, in_blocks
 from dolfin_elastic.solvers.messages import JUMP, in_words
 from dolfin_elastic.solvers.nonlinear.convergence import Tolerance
 from dolfin_elastic.solvers.nonlinear.jacobian import JacobianWatch
@@ -233,12 +233,13 @@ class Implicit:
     def _prepare(self, linear: LinearSettings, petsc: PetscOptions) -> None:
         problem, settings = self.problem, self.settings
         stepped = conserved(problem, settings)
-        self.moving = DynamicResidual(stepped, **settings.damping)
+        choice = choose(stepped, linear, moving=True)
+        choice.report()
+        iterated = in_blocks(choice, petsc)
+        self.moving = DynamicResidual(stepped, **settings.damping, iterated=iterated)
         self._owned.callback(self.moving.destroy)
         self.assembler = self.moving.assembler
         self.a = fem.Function(problem.V, name="acceleration of the scheme")
-        choice = choose(stepped, linear, moving=True)
-        choice.report()
         if problem.mixed:
             HydrostaticConstant(problem).report()
         self.ts = PETSc.TS().create(problem.body.comm)
@@ -273,7 +274,7 @@ class Implicit:
             self._owned.callback(vector.destroy)
         self._configure()
         self.balance = EnergyBalance(self.moving, self.v)
-        lag, inertia = None, ConsistentMass(problem, self.v)
+        lag, inertia = None, NodalMass(problem, self.v, self.moving.inertia.mass.times)
         at_stage = VolumeConstraint.needed(problem, parameters.alpha_f)
         if at_stage and PressureEnergy.compressible(problem):
             lag = PressureEnergy(problem)

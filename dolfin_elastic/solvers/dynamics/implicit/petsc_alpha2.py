@@ -44,7 +44,7 @@ class PetscAlpha2(ImplicitScheme):
 
     def __init__(self, context: SchemeContext) -> None:
         super().__init__(context)
-        ts, matrix = context.ts, self.assembler.tangent.matrix
+        ts = context.ts
         self._F = self.assembler.create_vector()
         self._start, self._known_h = 0.0, 0.0
         self._from = self._to = self.problem.constraints.targets
@@ -52,7 +52,11 @@ class PetscAlpha2(ImplicitScheme):
         ts.setType("alpha2")
         ts.setProblemType(PETSc.TS.ProblemType.NONLINEAR)
         ts.setI2Function(self._function, self._F)
-        ts.setI2Jacobian(self._jacobian, matrix, matrix)
+        self._take_matrix()
+
+    def _take_matrix(self) -> None:
+        matrix = self.assembler.tangent.matrix
+        self.context.ts.setI2Jacobian(self._jacobian, matrix, matrix)
 
     @classmethod
     def check(cls, problem: Problem, name: str) -> None:
@@ -144,7 +148,10 @@ class PetscAlpha2(ImplicitScheme):
     def fall_back(self) -> bool:
         """See `ImplicitScheme.fall_back`."""
         self.newton.finish()
-        return "LINEAR_SOLVE" in self.newton.result.reason and self.newton.fall_back()
+        if "LINEAR_SOLVE" not in self.newton.result.reason or not self.newton.fall_back():
+            return False
+        self._take_matrix()
+        return True
 
     def close(self) -> None:
         """Frees what it owns."""
@@ -198,7 +205,7 @@ class PetscAlpha2(ImplicitScheme):
         J: PETSc.Mat,
         P: PETSc.Mat,
     ) -> None:
-        self.moving.acceleration_shift.value, self.moving.velocity_shift.value = shift_a, shift_v
+        self.moving.acceleration_shift, self.moving.velocity_shift.value = shift_a, shift_v
         self.assembler.tangent.assemble(U, shift_a)
         self.newton.take_tangent(P)
         self.newton.linear.take(P)

@@ -134,9 +134,13 @@ class StageSolver:
         self._seen: tuple[FloatArray, FloatArray, FloatArray] | None = None  # see `residual`
         self.newton_iterations = self.krylov_iterations = 0
         self._F = self._assembler.create_vector()
-        snes, matrix = context.ts.getSNES(), self._assembler.tangent.matrix
-        snes.setFunction(self.residual, self._F)
-        snes.setJacobian(self.tangent, matrix, matrix)
+        context.ts.getSNES().setFunction(self.residual, self._F)
+        self._take_matrix()
+
+    def _take_matrix(self) -> None:
+        """Hands the matrix of the tangent to SNES: a fallback may make another one."""
+        matrix = self._assembler.tangent.matrix
+        self._context.ts.getSNES().setJacobian(self.tangent, matrix, matrix)
 
     # --- callbacks of SNES ---
 
@@ -210,8 +214,8 @@ class StageSolver:
             h: Length of the step [s].
         """
         p = self._parameters
-        # Before the residual of the first guess: forms of damping contain the shifts.
-        self._moving.velocity_shift.value, self._moving.acceleration_shift.value = p.shifts(h)
+        # Before the residual of the first guess, whose lifting contains the shifts.
+        self._moving.velocity_shift.value, self._moving.acceleration_shift = p.shifts(h)
         stage = self._stage = self._prescribe(start, h)
         if self._volumes is not None:
             self._volumes.end_at(start.t + h)
@@ -286,6 +290,7 @@ class StageSolver:
         self._moving.set_unknowns(guess)
         result = newton.solve(newton.line_searches()[0])
         while "LINEAR_SOLVE" in result.reason and newton.fall_back():
+            self._take_matrix()
             self._moving.set_unknowns(guess)
             self._seen = None
             result = newton.solve(newton.line_searches()[0])
