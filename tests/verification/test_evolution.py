@@ -136,6 +136,13 @@ def test_a_ramp_of_large_strains() -> None:
     assert log2(errors[1] / errors[2]) == pytest.approx(1, abs=0.01)
     assert errors[2] < 1e-3
     assert Cv == pytest.approx(along(law_of(CLOSED), 200)[0], rel=1e-12, abs=1e-12)
+    # The trapezoidal rule, also with the projection: order two.
+    law, errors = law_of({**MAXWELL, "rate_integration": "trapezoidal"}), []
+    for steps in (25, 50, 100):
+        errors.append(np.abs(along(law, steps)[0] - wanted).max())
+    assert log2(errors[0] / errors[1]) == pytest.approx(2, abs=0.05)
+    assert log2(errors[1] / errors[2]) == pytest.approx(2, abs=0.03)
+    assert errors[2] < 1e-4
 
 
 @pytest.mark.parametrize("law", [MAXWELL, J2], ids=["rate", "residual"])
@@ -293,18 +300,27 @@ NORTON: dict[str, Any] = {
 
 
 def test_long_steps_of_a_rate_are_noted() -> None:
-    """The estimate is the error of the branch in a ramp over one step."""
+    """The estimate is the error of the branch in the second step of a ramp.
+
+    After the first one, of backward Euler, the branch has y = x/(1 + x) of the strain of a step.
+    """
     for x in (0.01, 0.1):
-        # of the branch over the ramp's stress: 1/(1 + x) by backward Euler, (1 - exp(-x))/x right
-        branch = 1 / (1 + x) - (1 - exp(-x)) / x
-        whole = 1 + 2 * (1 - exp(-x)) / x  # mu0 = 1, mu1 = 2
-        found = error_of_rates(law_of({**MAXWELL, "parameters": SHEARED}))(x * TAU)
-        assert found == pytest.approx(abs(2 * branch) / whole, rel=0.1)
+        y, rules = x / (1 + x), {"backward-euler": 0.1, "trapezoidal": 0.2}
+        for rule, tolerance in rules.items():
+            euler = rule == "backward-euler"
+            # The strain grows by x in units of its rate times tau: dy/ds = 1 - y over s = x.
+            branch = (y + x) / (1 + x) if euler else (y * (1 - x / 2) + x) / (1 + x / 2)
+            whole = 2 * x + 2 * (y * exp(-x) + 1 - exp(-x))
+            law = law_of({**MAXWELL, "parameters": SHEARED, "rate_integration": rule})
+            exact = y * exp(-x) + 1 - exp(-x)
+            found = error_of_rates(law)(x * TAU)
+            assert found == pytest.approx(2 * abs(branch - exact) / whole, rel=tolerance)
     assert error_of_rates(law_of(J2))(1.0) == 0.0
     assert error_of_rates(law_of(NORTON))(900.0) < 1e-5
 
 
-def test_creep_of_a_bar() -> None:
+@pytest.mark.parametrize("rule", ["backward-euler", "trapezoidal"])
+def test_creep_of_a_bar(rule: str) -> None:
     """Norton's law at a constant stress s, from rest at once: s/E + A (s/s0)^n t, at any step."""
     stress, young = 80e6, 9 * 60e9 * 130e9 / (3 * 130e9 + 60e9)
     rollers = [
@@ -313,7 +329,8 @@ def test_creep_of_a_bar() -> None:
     ]
     pulled = Traction(on="right", value=[stress, 0, 0], curve=[[0, 1], [3600, 1]])
     body = box_body(size=(1, 1, 1), cells=(1, 1, 1))
-    problem = Problem(body, law_of(NORTON), supports=rollers, loads=[pulled], degree=1)
+    law = law_of({**NORTON, "rate_integration": rule})
+    problem = Problem(body, law, supports=rollers, loads=[pulled], degree=1)
     for state in Statics(problem, end=3600, steps=4, rtol=1e-13).steps():
         if not state.step:
             continue
@@ -417,6 +434,11 @@ WRONG = {
     "old": ({"parameters": {"Cv_old": 1.0}}, "parameters.Cv_old: the name 'Cv_old' is in use"),
     "both": ({"next": {"Cv": "Cv"}}, "rate: `next` beside `rate`"),
     "no history": ({"history": None}, "history: `rate` without a history"),
+    "integration": (
+        {**CLOSED, "rate": None, "rate_integration": "trapezoidal"},
+        "rate_integration: `rate_integration` without a rate",
+    ),
+    "rule": ({"rate_integration": "midpoint"}, "rate_integration: 'midpoint' is wrong"),
     "slip": (
         {"energy": None, "energi": "J"},
         "energi: unknown key 'energi'; did you mean 'energy'?",

@@ -468,6 +468,7 @@ class Energy(UserEnergy):
         "fibre",
         "fibre2",
         "history",
+        "rate_integration",
         *FOLLOWING,
     )
 

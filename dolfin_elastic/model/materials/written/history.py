@@ -12,7 +12,7 @@ from abc import abstractmethod
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from functools import cache
-from typing import Self
+from typing import Literal, Self
 
 import numpy as np
 import ufl
@@ -156,9 +156,12 @@ class Remembering(Viscous):
     Attributes:
         history: Name to value in the body at rest: what is remembered at each point. The energy and
             `next` may use the names, which are values at the start of a time step, and dt [s].
+        rate_integration: How a step follows `rate`: "backward-euler", or "trapezoidal", whose error
+            falls with the square of the step where loads do not jump.
     """
 
     history: dict[str, Variable] = Field(default={})
+    rate_integration: Literal["backward-euler", "trapezoidal"] | None = None
 
     _past: Mapping[str, Expr] = PrivateAttr(default={})
 
@@ -176,6 +179,16 @@ class Remembering(Viscous):
                 "`viscous` beside a history of your own",
                 where="viscous",
                 expected="one of them; branches can be written into energy and next",
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _integrates_a_rate(self) -> Self:
+        if self.rate_integration is not None and not self.by_rate:
+            raise InputError(
+                "`rate_integration` without a rate",
+                where="rate_integration",
+                expected="`rate` of a history, derivatives by time",
             )
         return self
 
@@ -198,6 +211,11 @@ class Remembering(Viscous):
             return frozenset()
         before = [old(name) for name in self.history] if self.evolves else []
         return frozenset({*self.history, *before, DT})
+
+    @property
+    def trapezoidal(self) -> bool:
+        """Rates at both ends of a step count."""
+        return self.rate_integration == "trapezoidal"
 
     @property
     def unimodular(self) -> frozenset[str]:

@@ -5,12 +5,14 @@ x_old those at its start.  A rate dx/dt = f(F, x) becomes the equations of backw
 
     x - x_old - dt f(F, x) = 0,
 
-and `residual` gives equations of one's own.  The stress is dpsi/dF with x fixed.  A variable that
-keeps its determinant is x/det(x)^(1/3) of the root x.
+or of the trapezoidal rule, with the mean of f at both ends of the step, of which that at its start
+is remembered.  `residual` gives equations of one's own.  The stress is dpsi/dF with x fixed.  A
+variable that keeps its determinant is x/det(x)^(1/3) of the root x.
 
-Source: Simo & Hughes, Computational Inelasticity (1998), sections 1.4 and 8.2; the projection:
+Source: Simo & Hughes, Computational Inelasticity (1998), sections 1.4 and 8.2; the rule: E. Hairer
+and G. Wanner, Solving Ordinary Differential Equations II (1996), section IV.3; the projection:
 A. V. Shutov, R. Landgraf and J. Ihlemann, Comput. Methods Appl. Mech. Eng. 265 (2013) 213, whose
-closed form for a Maxwell branch it equals.
+closed form for a Maxwell branch backward Euler equals.
 """
 
 from __future__ import annotations
@@ -18,6 +20,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+import ufl
 from ufl.core.expr import Expr
 
 from dolfin_elastic.model.materials.law import SplitLaw, once
@@ -26,6 +29,7 @@ from dolfin_elastic.model.materials.memory import (
     ImplicitMemory,
     ImplicitStep,
     Root,
+    Variable,
     of_dissipation,
     unimodular,
     with_dissipation,
@@ -39,13 +43,28 @@ from dolfin_elastic.model.materials.written.history import (
 )
 
 
+def _rate(variable: Variable) -> Variable:
+    """Derivative of a variable by time [1/s]."""
+    return Variable(f"rate_of_{variable.name}", variable.shape)
+
+
+def _mean(before: Expr, rate: Expr) -> Expr:
+    """Of the rates at both ends of a step; where there was none before, as at rest, the last one.
+
+    So a sudden load is followed by backward Euler, which knows nothing of the time before it.
+    """
+    share = ufl.conditional(ufl.eq(ufl.inner(before, before), 0), 0.0, 0.5)
+    return share * before + (1 - share) * rate
+
+
 class EvolutionMemory(ImplicitMemory):
     """What a user's law remembers that gives rates or equations."""
 
     def __init__(self, law: Remembering) -> None:
         self._law, self.timed = law, law.timed
         self.unknowns = tuple(law.history.values())
-        self.variables = (*self.unknowns, *of_dissipation(self.unknowns))
+        rates = map(_rate, self.unknowns) if law.trapezoidal else ()
+        self.variables = (*self.unknowns, *of_dissipation(self.unknowns), *rates)
 
     def with_root(
         self, past: Mapping[str, Expr], step: Mapping[str, Expr], root: Root
@@ -83,6 +102,9 @@ class SteppedEvolution(ImplicitStep, SteppedUser):
             if not self.law.by_rate:
                 return given
             dt = self.step[DT]
+            if self.law.trapezoidal:
+                before = {v.name: self.past[_rate(v).name] for v in self.root.variables}
+                given = {name: _mean(before[name], f) for name, f in given.items()}
             return {name: now[name] - self.past[name] - dt * f for name, f in given.items()}
 
         return residual
@@ -114,9 +136,13 @@ class SteppedEvolution(ImplicitStep, SteppedUser):
     def at_end(self, F: Expr) -> dict[str, Expr]:
         """See `OverStep`."""
         # Of x/det(x)^(1/3) the derivative is the part of the force that can do work.
-        return with_dissipation(
+        end = with_dissipation(
             self.root, self._now(F), self.past, lambda x: self._at(self._kept(x)).energy(F)
         )
+        if self.law.trapezoidal:
+            rates = self._then(F).following(F)
+            end |= {_rate(v).name: rates[v.name] for v in self.root.variables}
+        return end
 
 
 @dataclass(frozen=True)

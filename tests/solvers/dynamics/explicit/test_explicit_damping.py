@@ -128,11 +128,12 @@ def shock(**damping: Any) -> tuple[float, float, float]:
     assert state.v is not None
     assert state.energies is not None
     most = largest(body.comm, float(np.max(state.v.x.array, initial=0.0)))
-    return most * RHO * c / pressure, state.energies.get("damping", 0.0), state.energies["external"]
+    energies = state.energies
+    return most * RHO * c / pressure, energies.get("damping", 0.0), energies["external"]
 
 
 def test_bulk_viscosity_smears_a_shock() -> None:
-    """A wave in a bar that is pushed suddenly: v = p/(rho c) behind its front, without overshoot."""
+    """A wave in a bar that is pushed suddenly: v = p/(rho c) behind its front, no overshoot."""
     rings, _, _ = shock()
     smeared, lost, given = shock(bulk_viscosity={"linear": 0.3, "quadratic": 1.2})
     usual, _, _ = shock(bulk_viscosity=True)
