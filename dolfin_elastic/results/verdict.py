@@ -79,8 +79,23 @@ def verdict_of(summary: Table) -> Verdict | None:
         else []
     ):
         return _of_buckling(rows) if rows[0].get("kind") == "buckling" else _of_modes(rows, summary)
-    found = _of_yield(summary) or _of_stress(summary)
-    return _of_load(found, summary) if summary.get("steps") else None
+    return _of_end(summary) if summary.get("steps") else None
+
+
+def _of_end(summary: Table) -> Verdict:
+    found = _of_load(_of_yield(summary) or _of_stress(summary), summary)
+    return Verdict(found.kind, found.text + _added_mass(summary))
+
+
+def _added_mass(summary: Table) -> str:
+    """What mass scaling has added, where it has."""
+    numbers = _table(summary, "numbers")
+    fraction = _number(numbers.get("added_mass_fraction"))
+    if not fraction > 0:
+        return ""
+    place = [_number(numbers.get(f"added_mass_{x}")) for x in "xyz" if f"added_mass_{x}" in numbers]
+    at = f", most at ({', '.join(number(x, 3) for x in place)}) m" if place else ""
+    return f"; mass scaling has added {percent(fraction)} of the mass{at}"
 
 
 def _verdict(kind: Kind, text: str) -> Verdict:

@@ -1,8 +1,12 @@
 """Mass that is added at nodes of thin cells, which would make the steps of a whole motion short.
 
 A node of mass m whose cells have the bound r of omega^2, see `FrequencyBound`, gets the mass m r/s,
-where r is above a rate s that is the same for all: then s bounds omega^2 of the body.  Without a
-step of the user's, s is as low as a limit of the added mass permits, but not below the median of r.
+where r is above a rate s that is the same for all: then s bounds omega^2 of the body.
+
+Without a step of the user's only nodes whose r is above THIN times a rate q get mass, m r/(EASY q),
+so that they are no stiffer than the whole of the others, whose omega^2 is below their largest r.  q
+is as low as a limit of the added mass permits, but not below the median of r: where no element is
+thin nothing is added.
 
 The mass is added in all directions: it slows what moves there, and adds to the weight of nothing.
 A cell of altitude e h in a mesh of size h has a step of about sqrt(e) of the others, and needs 1/e
@@ -32,6 +36,12 @@ log = logging.getLogger("dolfin_elastic")
 
 MARGIN = 0.9
 """The user's step over the one that is stable with the added mass: bodies become stiffer."""
+THIN = 2.0
+"""Bound of a node that is to get mass, over the median: those of a regular mesh differ by less."""
+EASY = 0.6
+"""Of a regular mesh, omega_max^2 over the median of the bounds."""
+ABOVE = 1e-8
+"""Of a rate over the lowest one that a limit permits: it is rounded, and more may be thin below."""
 HALVINGS = 60
 """Of an interval of rates: to the last digits."""
 
@@ -77,18 +87,23 @@ def scaled(
     u[:] = state
     comm, whole = problem.body.comm, total(problem.body.comm, float(nodal.sum()))
 
+    def factors(rate: float) -> FloatArray:
+        """Of the mass of each node, for a rate."""
+        if dt is not None:
+            return np.asarray(np.maximum(rates / rate, 1.0))
+        return np.asarray(np.where(rates > THIN * rate, rates / (EASY * rate), 1.0))
+
     def added(rate: float) -> float:
-        """Fraction that bounds omega^2 by a rate."""
-        more = nodal * np.maximum(rates / rate - 1, 0.0)
-        return float(total(comm, float(more.sum()))) / whole
+        """Fraction of the whole mass."""
+        return float(total(comm, float(np.dot(nodal, factors(rate) - 1)))) / whole
 
     worst = extremes(comm, [float(rates.max(initial=0.0))])[0]
-    rate = _lowest(added, _median(problem, rates, worst), worst, most)
     if dt is not None:
         rate = (2 * MARGIN / dt) ** 2
-    # The same on any number of ranks.
-    rate = float(f"{rate:.9e}")
-    factor = np.maximum(rates / rate, 1.0)
+    else:
+        rate = _lowest(added, _median(problem, rates, worst), worst, most) * (1 + ABOVE)
+    rate = float(f"{rate:.9e}")  # the same on any number of ranks
+    factor = factors(rate)
     fraction, count = added(rate), int(total(comm, int(np.sum(factor > 1.0))))
     coordinates = problem.places[:, :dim]
     row = largest_row(comm, factor, lambda rows: coordinates[rows])
@@ -103,13 +118,12 @@ def scaled(
         )
     if count:
         log.info(
-            "mass scaling: %.3g %% of the mass is added at %d nodes%s, there %.3g times: "
-            "for steps of %.3g s in place of %.3g s",
+            "mass scaling: %.3g %% of the mass is added at %d nodes%s, there %.3g times the "
+            "node's; steps of %.3g s were stable without",
             100 * fraction,
             count,
             place,
             0.0 if row is None else row.value - 1,
-            2 / np.sqrt(rate),
             2 / np.sqrt(worst),
         )
     numbers = {"added_mass_fraction": fraction}
