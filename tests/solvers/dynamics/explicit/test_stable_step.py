@@ -213,9 +213,9 @@ def test_held_bodies_have_no_step_of_held_nodes():
 @pytest.mark.parametrize(("drag", "square"), [(0.0, 4.0), (3.0, 4.0), (0.5, 100.0), (7.0, 0.0)])
 def test_a_root_reaches_minus_one_at_the_stable_step(drag: float, square: float) -> None:
     """z^2 - (2 - h c/m - h^2 omega^2) z + 1 - h c/m, with dashpots at the old velocity."""
-    looking = SimpleNamespace(_drag=drag)
+    looking = SimpleNamespace(_drag=drag, _viscous=0.0)
     h = StepSize.step_for(looking, square)  # type: ignore[arg-type]
     for step, inside in ((0.999 * h, True), (1.001 * h, False)):
         roots = np.roots([1.0, step * drag + step**2 * square - 2, 1 - step * drag])
         assert (roots.real >= -1).all() == inside
-    assert StepSize.step_for(SimpleNamespace(_drag=0.0), 0.0) == np.inf  # type: ignore[arg-type]
+    assert StepSize.step_for(SimpleNamespace(_drag=0.0, _viscous=0.0), 0.0) == np.inf  # type: ignore[arg-type]
