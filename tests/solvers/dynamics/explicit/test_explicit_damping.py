@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 from dolfinx import fem
+from helpers.checkpoints import through_json
 from mpi4py import MPI
 
 from dolfin_elastic import (
@@ -217,3 +218,34 @@ def test_without_thin_elements_nothing_is_added() -> None:
 def test_keys_of_other_schemes_are_refused(keys: Any, message: str) -> None:
     with pytest.raises(InputError, match=message):
         Dynamics(oscillator(), end=1.0, **keys)
+
+
+@pytest.mark.parametrize("every", [1, 4])
+def test_a_continued_run_is_the_same(every: int) -> None:
+    """With all dampings, added mass, and a material that remembers beside one that does not."""
+    keys: dict[str, Any] = {"scheme": SCHEME, "end": 0.02, "every": every, "mass_scaling": 0.5}
+    keys |= {"rayleigh": [20.0, 0], "bulk_viscosity": True, "initial_velocity": [0, "x", 0]}
+    body = thin(0.1)
+    law = NeoHookean(E=E, nu=NU, density=RHO, viscous=[{"ratio": 0.5, "time": 1e-3}])
+
+    def motion() -> Dynamics:
+        return Dynamics(Problem(body, law, supports=[Support(on="left")], degree=1), **keys)
+
+    def told(state: Any) -> tuple[Any, ...]:
+        return state.u.x.array.copy(), state.v.x.array.copy(), dict(state.energies), state.numbers
+
+    whole = [told(state) for state in motion().steps()]
+    first = motion()
+    states = first.steps()
+    for state in states:
+        if state.step >= every * (len(whole) // 2):
+            break
+    saved = through_json(first.restart_state())
+    states.close()
+    tail = [told(state) for state in motion().steps(saved)]
+    assert 1 < len(tail) < len(whole)
+    for there, here in zip(whole[-len(tail) :], tail, strict=True):
+        for one, other in zip(there[:2], here[:2], strict=True):
+            assert other == pytest.approx(one, rel=1e-11, abs=1e-11 * np.abs(one).max(initial=1e-9))
+        assert here[2] == pytest.approx(there[2], rel=1e-11)
+        assert here[3] == there[3]
