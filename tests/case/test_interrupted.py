@@ -30,6 +30,8 @@ from dolfin_elastic.core import signals
 from dolfin_elastic.results.checkpoint.checkpoints import last_step
 from dolfin_elastic.solvers.dynamics.explicit.explicit import Explicit
 from dolfin_elastic.solvers.eigen import slepc
+from dolfin_elastic.solvers.eigen.lobpcg import Lobpcg
+from dolfin_elastic.solvers.linear.choice import LinearSettings
 from dolfin_elastic.solvers.nonlinear.convergence import ConvergenceTest
 
 WORLD = MPI.COMM_WORLD
@@ -150,6 +152,12 @@ LOOPS: dict[str, tuple[Callable[[], Any], Any, str, Callable[[Any], bool]]] = {
     ),
     "explicit": (lambda: Dynamics(bar(), **EXPLICIT).steps(), Explicit, "step", explicit_at),
     "modal": (lambda: Modal(bar(), count=2).modes(), slepc, "_stops", lambda eps: True),
+    "modal without factors": (
+        lambda: Modal(bar(), count=2, linear=LinearSettings(method="iterative")).modes(),
+        Lobpcg,
+        "_take_residuals",
+        lambda block: True,
+    ),
     "buckling": (lambda: Buckling(bar(), count=2).modes(), slepc, "_stops", lambda eps: True),
 }
 

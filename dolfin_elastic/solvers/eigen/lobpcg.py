@@ -16,6 +16,7 @@ that of the diagonal of B, which is equivalent whatever the mesh (A. J. Wathen, 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 
 import numpy as np
 from petsc4py import PETSc
@@ -207,10 +208,10 @@ class Lobpcg:
     def _combine(self, GA: FloatArray, GB: FloatArray) -> None:
         """Takes the best vectors of the span, and their last changes. Collective."""
         best = None
-        if (
-            self._comm.rank == 0
-        ):  # so that all go on with the same numbers, whatever their round-off
-            best = _best(GA, GB, len(self.values), ~self.converged)
+        # On one rank, so that all go on with the same numbers, whatever their round-off.
+        if self._comm.rank == 0:
+            with suppress(np.linalg.LinAlgError):
+                best = _best(GA, GB, len(self.values), ~self.converged)
         best = self._comm.bcast(best)
         if best is None:
             raise NotConvergedError
