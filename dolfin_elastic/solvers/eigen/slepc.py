@@ -47,9 +47,9 @@ from dolfin_elastic.solvers.linear.multigrid import PMultigrid, rigid_body_modes
 from dolfin_elastic.solvers.messages import eigenvalues
 from dolfin_elastic.solvers.petsc.options import Options, cause_of, ksp_reason
 
-DIRECT_LIMIT = {2: 600_000, 3: 30_000}
-"""Unknowns up to which is factorised by default: a block of 20 000 takes as long either way, one of
-70 000 half as long without factors; slender bodies have small factors."""
+DIRECT_LIMIT = {2: 600_000, 3: 20_000}
+"""Unknowns up to which is factorised by default: a block of 10 000 takes as long either way, one of
+20 000 three fifths without factors; plates and slender bodies of 27 000 a quarter longer."""
 
 COUNTED_LIMIT = {2: 600_000, 3: 100_000}
 """The same where values are to be counted, which takes factors."""
