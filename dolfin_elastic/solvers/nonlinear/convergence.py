@@ -40,6 +40,9 @@ FORCING = 1e-3
 LAST_FORCING = 1e-6
 """Least relative tolerance of a linear solve that may be the last one."""
 
+OLD_TANGENT = 30.0
+"""Least fall of the residual, in a step, after which the next one may keep its tangent."""
+
 LINEAR_TOLERANCE = 1e-12
 """The same where one linear solve is all: as tight as the residual is judged."""
 
@@ -231,6 +234,7 @@ class ConvergenceTest:
     Attributes:
         residuals: Norm of the free residual at each iterate [N].
         predicted: Norm of the first Newton step [m].
+        first: Norm of the first residual of the last solve [N]; 0 before any.
         round_off: Of the last tangent.
     """
 
@@ -249,7 +253,7 @@ class ConvergenceTest:
         self.round_off = RoundOff(assembler, inertia)
         self.residuals: list[float] = []
         self.interrupted = False
-        self.predicted = self._applied = self._first = self._norm = 0.0
+        self.predicted = self._applied = self.first = self._norm = 0.0
         self._max_iterations, self._backtracks, self._patient = (
             tolerance.max_iterations,
             False,
@@ -327,6 +331,20 @@ class ConvergenceTest:
         quadratic = now < before and now * (now / before) ** 2 <= 0.5 * self.target()
         return quadratic and self._norm > 0 and self._needed() >= LAST_FORCING
 
+    def old_tangent_suffices(self) -> bool:
+        """Whether the next step can be the last one also with the last tangent. Collective.
+
+        With the tangent of the iterate before, the residual falls by its last fall once more, not
+        by the square of it; where it fell by little, something else has changed, such as contact.
+
+        Source: C. T. Kelley, Iterative Methods for Linear and Nonlinear Equations (1995), 5.4.2,
+        (5.17), the chord method's error with the last Newton step's.
+        """
+        if self._assembler.problem.linear or len(self.residuals) < 2:
+            return False
+        before, now = self.residuals[-2:]
+        return OLD_TANGENT * now <= before and now * (now / before) <= self.target()
+
     def alternates(self) -> bool:
         """States of contact go on to alternate although none opens any more. Not collective.
 
@@ -403,12 +421,12 @@ class ConvergenceTest:
         reason, a = PETSc.SNES.ConvergedReason, self._assembler
         if iteration == 0:
             self.residuals.clear()
-            self._first = norms[2]
+            self.first = norms[2]
         if iteration == 1:
             self.predicted = norms[1]
         self._norm = norms[2]
         self.residuals.append(a.residual.free_norm)
-        if not norms[2] <= DIVERGENCE * max(self._first, self.target()):  # NaN, too
+        if not norms[2] <= DIVERGENCE * max(self.first, self.target()):  # NaN, too
             return norm_without_value()
         prescribed = a.residual.gap <= PRESCRIBED_TOLERANCE * self._span
         balanced = prescribed and self._balanced() and self._scalars_hold()

@@ -416,6 +416,10 @@ class Newton:
         `linear.take` has to follow.
         """
         self.test.round_off.renew(P)
+        self.set_linear_tolerance()
+
+    def set_linear_tolerance(self) -> None:
+        """Sets how exact the next linear solve has to be. Collective."""
         if not self.linear.direct and "ksp_rtol" not in self.options.users:
             self.ksp.setTolerances(rtol=self.test.linear_tolerance())
             self.linear.judge(may_be_last=self.test.may_be_last())
@@ -438,12 +442,17 @@ class Newton:
     # --- from one run to the next ---
 
     def restart_state(self) -> dict[str, Any]:
-        """See `Restartable`: the first stiffness and the linear solver in use. Not collective."""
-        return {"stiffest": self.test.round_off.first, "linear": self.ksp.getType()}
+        """See `Restartable`: stiffness, linear solver in use, first residual. Not collective."""
+        return {
+            "stiffest": self.test.round_off.first,
+            "linear": self.ksp.getType(),
+            "first": self.test.first,
+        }
 
     def restore(self, saved: Mapping[str, Any]) -> None:
         """See `Restartable`; evaluates the tangent of the problem's present state. Collective."""
         self.test.round_off.restore(saved["stiffest"])
+        self.test.first = float(saved.get("first", 0.0))
         x = self.assembler.create_vector()
         self.assembler.get(x)
         self.assembler.tangent.assemble(x, 0.0 if self._inertia is None else self._inertia.factor)

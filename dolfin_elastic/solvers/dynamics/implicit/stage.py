@@ -23,6 +23,9 @@ from dolfin_elastic.solvers.dynamics.implicit.scheme import SchemeContext
 from dolfin_elastic.solvers.dynamics.implicit.volume_constraint import VolumeConstraint
 from dolfin_elastic.solvers.nonlinear.passage import leads_through
 
+SUDDEN = 10.0
+"""Norm of a first residual over that of the last step, above which another guess is tried."""
+
 
 @dataclass(frozen=True)
 class StepStart:
@@ -147,13 +150,13 @@ class StageSolver:
     def residual(self, snes: PETSc.SNES, x: PETSc.Vec, f: PETSc.Vec) -> None:
         """Forces out of balance at the stage, with inertia.
 
-        Where terms bar steps, SNES asks once more for those of the trial that was evaluated last.
+        Of a first guess, and where terms bar steps, SNES asks once more for those evaluated last.
 
         Args:
             x: Offset of the stage from the predictor.
         """
         assert self._stage is not None
-        if self._problem.terms.bars and self._again(x, f):
+        if self._seen is not None and self._again(x, f):
             return
         self._moving.set_stage_rates(*self._stage.rates(x.array_r[self._moving.displacement_dofs]))
         with timed("assemble"):
@@ -161,10 +164,13 @@ class StageSolver:
             self._assemble()
         self._assembler.residual.constrain(f, target=self._stage.u)
         if self._problem.terms.bars:
-            self._seen = x.array_r.copy(), self._problem.w.x.array.copy(), f.array_r.copy()
+            self._store(x, f)
+
+    def _store(self, x: PETSc.Vec, f: PETSc.Vec) -> None:
+        self._seen = x.array_r.copy(), self._problem.w.x.array.copy(), f.array_r.copy()
 
     def _again(self, x: PETSc.Vec, f: PETSc.Vec) -> bool:
-        """Gives the last residual of this solve once more, if it is that of x. Collective."""
+        """Gives the last residual once more, if it is that of x. Collective."""
         seen, self._seen = self._seen, None
         same = seen is not None and all(
             map(np.array_equal, (x.array_r, self._problem.w.x.array), seen)
@@ -182,12 +188,15 @@ class StageSolver:
             self._volumes.complete()
 
     def tangent(self, snes: PETSc.SNES, x: PETSc.Vec, A: PETSc.Mat, P: PETSc.Mat) -> None:
-        """Derivative of the residual by the displacement of the stage.
+        """Derivative of the residual by the displacement of the stage, or that of the last iterate.
 
         Args:
             x: Offset of the stage from the predictor.
             P: The same.
         """
+        if self._newton.test.old_tangent_suffices():
+            self._newton.set_linear_tolerance()
+            return
         self._assembler.tangent.assemble(x, self._moving.factor)
         self._newton.take_tangent(P)
         self._newton.linear.take(P)
@@ -216,7 +225,8 @@ class StageSolver:
         p = self._parameters
         # Before the residual of the first guess, whose lifting contains the shifts.
         self._moving.velocity_shift.value, self._moving.acceleration_shift = p.shifts(h)
-        stage = self._stage = self._prescribe(start, h)
+        stage, self._seen = self._prescribe(start, h), None
+        self._stage = stage
         if self._volumes is not None:
             self._volumes.end_at(start.t + h)
         origin = self._assembler.origin
@@ -286,7 +296,9 @@ class StageSolver:
         return np.asarray((1 - p.alpha_f) * a_end + p.alpha_f * extract(context.a.x.array))
 
     def _solve_from(self, guess: FloatArray) -> bool:
-        newton, self._seen = self._newton, None
+        newton = self._newton
+        if self._problem.terms.bars:
+            self._seen = None
         self._moving.set_unknowns(guess)
         result = newton.solve(newton.line_searches()[0])
         while "LINEAR_SOLVE" in result.reason and newton.fall_back():
@@ -302,7 +314,8 @@ class StageSolver:
         """Initial guesses of Newton's method, the one with the smaller residual first.
 
         The predictor is the better one of a body that flies, the old state of one that is stiff
-        and is set going at once: there the predictor may turn cells inside out.
+        and is set going at once: there the predictor may turn cells inside out.  So the old state
+        is asked only where the predictor's residual is not finite, or far above the last step's.
         """
         moves = self._moving.displacement_dofs
         predicted = self._assembler.origin.copy()
@@ -316,10 +329,11 @@ class StageSolver:
             return [old]
         if self._problem.linear:
             return [predicted]
-        norms = [self._norm_at(guess) for guess in (predicted, old)]
-        if not np.isfinite(norms[0]):
+        norm = self._norm_at(predicted)
+        if not np.isfinite(norm):
             return [old]
-        return [predicted, old] if norms[0] <= norms[1] else [old, predicted]
+        usual = norm <= SUDDEN * self._newton.test.first or norm <= self._norm_at(old)
+        return [predicted, old] if usual else [old, predicted]
 
     def _norm_at(self, guess: FloatArray) -> float:
         """Norm of the residual of a first guess; infinite where a cell is inside out."""
@@ -327,9 +341,12 @@ class StageSolver:
         if self._context.watch.refused()[0] <= 0.0:
             return float(np.inf)
         x, f = self._assembler.create_vector(), self._assembler.create_vector()
+        terms = self._problem.terms
         self._assembler.get(x)
         self.residual(self._newton.snes, x, f)
         norm = float(f.norm())
+        if not (terms.bars or terms.opens):  # whose states follow each other
+            self._store(x, f)
         x.destroy()
         f.destroy()
         return norm if np.isfinite(norm) else float(np.inf)
