@@ -167,6 +167,23 @@ def of_symmetric(sizes: dict[str, int], lanes: int) -> Iterator[Call]:
     yield "columns_in_full", values
 
 
+def of_mass(sizes: dict[str, int], lanes: int) -> Iterator[Call]:
+    """Of four owned nodes and two ghosts, whose rows have all columns."""
+    owned, nodes, dim = 4, 6, sizes["DIM"]
+    start, columns = half(nodes, nodes)
+    half_start, half_columns = half(owned, nodes)
+    far, far_columns = full(nodes - owned, nodes)
+    begins, numbers = full(dim * nodes, dim * nodes)
+    values = {"n": nodes, "start": start, "columns": columns, "fixed": np.arange(dim * nodes) % 2}
+    halved = {"owned": owned, "half": half_start, "half_columns": half_columns}
+    halved |= {"ghosts": nodes - owned, "far": far, "far_columns": far_columns}
+    rows = {"rows": dim * nodes, "begins": begins, "numbers": numbers}
+    rows |= {"entries": RNG.permutation(dim * nodes)}
+    yield "add_mass_product", values
+    yield "add_mass_to_half", values | halved
+    yield "add_mass_to_rows", values | rows
+
+
 def of_multigrid(sizes: dict[str, int], lanes: int) -> Iterator[Call]:
     dim, modes = sizes["DIM"], sizes["MODES"]
     rows, nodes, groups = 4, 6, 3
@@ -266,6 +283,7 @@ def of_triangles(sizes: dict[str, int], lanes: int) -> Iterator[Call]:
 CALLS = {
     "cells.c": of_cells,
     "extremes.c": of_extremes,
+    "mass.c": of_mass,
     "multigrid.c": of_multigrid,
     "patches.c": of_patches,
     "roots.c": of_roots,
@@ -343,6 +361,8 @@ FAULTS = [
     ("cells.c", "*out +=", "out[1] +=", "buffer-overflow"),
     ("extremes.c", "least[c] =", "least[c + 1] =", "buffer-overflow"),
     ("extremes.c", "nodes[c * ND + a]", "nodes[c * ND + a + 1]", "buffer-overflow"),
+    ("mass.c", "y[DIM * j + c] +=", "y[DIM * j + c + 1] +=", "buffer-overflow"),
+    ("mass.c", "y[DIM * i + c] += sum", "y[DIM * i + c + 1] += sum", "buffer-overflow"),
     ("multigrid.c", "next[columns[k]]++]", "next[columns[k]]++ + 1]", "buffer-overflow"),
     ("patches.c", "sum[width] +=", "sum[width + 1] +=", "buffer-overflow"),
     ("patches.c", "shape[q * ND + k]", "shape[q * ND + k + 1]", "buffer-overflow"),

@@ -204,6 +204,7 @@ SHARED = {
     "results/test_scattered.py",
     "results/writers/test_formats.py",
     "solvers/assembly/test_node_blocks.py",
+    "solvers/assembly/test_scalar_mass.py",
     "solvers/linear/test_surface_means.py",
     "solvers/audit/test_audit.py",
     "solvers/dynamics/explicit/test_explicit.py",

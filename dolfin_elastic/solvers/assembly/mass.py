@@ -50,7 +50,6 @@ def initial_acceleration(
 
     Args:
         assembler: Of the moving body; its residual is assembled without inertia.
-        mass: Of its displacement.
         prescribed: Prescribed accelerations [m/s^2], like `Constraints.targets`.
         a: Receives the acceleration [m/s^2].
 

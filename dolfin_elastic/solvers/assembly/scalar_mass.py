@@ -28,9 +28,6 @@ class ScalarMass:
     As with a form, a rank has what its own cells give, of owned nodes and ghosts: the whole is the
     sum over the ranks.  Collective to make.
 
-    Args:
-        problem: With a density everywhere.
-
     Attributes:
         start: Where the row of each node here begins, and the last one ends.
         columns: Nodes j >= i of row i, local numbers, sorted.
@@ -141,7 +138,6 @@ class InertiaForces:
     """What inertia, and a drag that is proportional to it, add to residual and tangent.
 
     Args:
-        mass: Of the problem's displacement.
         factor: Gives the multiple of the mass in the tangent [1/s^2].
 
     Attributes:

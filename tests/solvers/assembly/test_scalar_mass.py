@@ -8,13 +8,19 @@ from contextlib import contextmanager
 import numpy as np
 import pytest
 import ufl
+from dolfinx import fem
+from helpers.annulus import annulus
+from helpers.stacked import stacked
+from mpi4py import MPI
 from petsc4py import PETSc
 
 from dolfin_elastic import (
     NeoHookean,
+    Normal,
     PointMass,
     Problem,
     Support,
+    Tie,
     box_body,
     rectangle_body,
 )
@@ -22,6 +28,7 @@ from dolfin_elastic.core.ghosts import assembled
 from dolfin_elastic.core.parallel import largest, total
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.solvers.assembly.assembler import compiled, integral
+from dolfin_elastic.solvers.assembly.mass import initial_acceleration
 from dolfin_elastic.solvers.assembly.matrix import BilinearForm, ConstrainedMatrix, TangentMatrix
 from dolfin_elastic.solvers.assembly.scalar_mass import InertiaForces, ScalarMass
 from dolfin_elastic.solvers.dynamics.residual import DynamicResidual
@@ -169,4 +176,46 @@ def test_tangents_of_other_unknowns_and_geometries(geometry: str, nu: float) -> 
     moving = shifted(problem, mass=30.0)
     with reference(problem, moving) as wanted:
         assert off(moving, wanted) <= 1e-13
+    moving.destroy()
+
+
+def combined(kind: str) -> Problem:
+    """Two blocks of which one is tied to the other, or one whose support is skew."""
+    law = NeoHookean(E=1e6, nu=0.3, density=DENSITY)
+    if kind == "tied":
+        body = stacked((1.0, 1.0, 1.0), (3, 3, 2), (4, 4, 2))
+        supports = [Support(on="bottom")]
+        return Problem(body, law, degree=1, supports=supports, ties=[Tie(on="above", to="below")])
+    body = annulus(MPI.COMM_WORLD, 3)
+    return Problem(body, law, degree=2, supports=[Normal(on="inside")])
+
+
+@pytest.mark.parametrize("kind", ["tied", "skew"])
+def test_diagonal_and_acceleration_where_entries_are_combined(kind: str) -> None:
+    """Of T^T M T, and the forces that the acceleration found needs are those that were given."""
+    problem = combined(kind)
+    moving = DynamicResidual(problem)
+    assembler, mass = moving.assembler, moving.inertia.mass
+    assert assembler.combined
+    form = compiled(problem, [problem.weak_form.inertia(ufl.TrialFunction(problem.V), problem.v)])
+    matrix = TangentMatrix(BilinearForm(form[0]))
+    matrix.assemble(assembler.bcs)
+    constrained = ConstrainedMatrix(problem, assembler, matrix.petsc, assembler.displacement_dofs)
+    constrained.renew(0.0)
+    diagonal = constrained.matrix.getDiagonal()
+    diagonal.array_w[assembler.prescribed_dofs] = 0.0
+    alike(moving.mass.array_r, diagonal.array_r, problem.body.comm)
+    forces = some(problem)
+    assembler.residual.owned[:] = -forces
+    a = fem.Function(problem.V)
+    initial_acceleration(assembler, mass, np.zeros(len(a.x.array)), a)
+    own = a.x.array[: len(forces)]
+    rows = problem.constraints
+    left = rows.free_part(rows.collect(forces - mass.times(own)))
+    given = rows.free_part(rows.collect(forces))
+    alike(left + given, given, problem.body.comm, 1e-12)
+    np.testing.assert_allclose(rows.constrained_part(own), 0.0, atol=1e-12 * np.abs(own).max())
+    diagonal.destroy()
+    constrained.destroy()
+    matrix.destroy()
     moving.destroy()

@@ -94,7 +94,6 @@ def moduli(problem: Problem, region: MaterialRegion, damping: Damping | None = N
 
     Args:
         problem: That is `in_two_stages`.
-        damping: Whose moduli come to dP/dF.
     """
     of_fields = _of_displacement if problem.W is problem.V else _mixed
     result = of_fields(problem, region, None if damping is None else damping.moduli(region))
@@ -151,7 +150,6 @@ class TwoStageForm(BilinearForm):
 
     Args:
         rest: What it has beside that of the internal forces; may be empty.
-        damping: Whose stresses are internal forces, too.
 
     Attributes:
         can_be_halved: Beside it are integrals over facets at most, and the displacement is the only
