@@ -343,7 +343,7 @@ class ConvergenceTest:
         if self._assembler.problem.linear or len(self.residuals) < 2:
             return False
         before, now = self.residuals[-2:]
-        return OLD_TANGENT * now <= before and now * (now / before) <= self.target()
+        return OLD_TANGENT * now <= before and now * (now / before) <= 0.5 * self.target()
 
     def alternates(self) -> bool:
         """States of contact go on to alternate although none opens any more. Not collective.

@@ -137,7 +137,7 @@ def _mixed(problem: Problem, region: MaterialRegion, more: Expr | None) -> Expr:
 
 
 def _parts(rest: ufl.Form) -> tuple[ufl.Form, ufl.Form]:
-    """The integrals over cells that are the same in all states, such as inertia, and the others."""
+    """The integrals over cells that are the same in all states, as of a spin, and the others."""
     constant, others = list[ufl.Integral](), list[ufl.Integral]()
     for one in rest.integrals():
         varies = one.integral_type() != "cell" or extract_coefficients(one.integrand())
