@@ -26,7 +26,6 @@ def recoveries():
 SIZES = {
     "cells.c": [{"NG": 3, "NW": 3, "BS": 2}, {"NG": 10, "NW": 10, "BS": 3}],
     "extremes.c": [one for one in tangents() if one["NP"] == 0 and one["SYMMETRIC"] == 0],
-    "mass.c": [{"DIM": 2}, {"DIM": 3}],
     "multigrid.c": [{"DIM": dim, "MODES": 3 * dim - 3} for dim in (2, 3)],
     "patches.c": list(recoveries()),
     "roots.c": [

@@ -165,11 +165,12 @@ def of_symmetric(sizes: dict[str, int], lanes: int) -> Iterator[Call]:
     yield "rows_in_full", values | {"first": 1, "count": owned - 1}
     yield "count_in_full", values
     yield "columns_in_full", values
+    yield from of_mass(dim)
 
 
-def of_mass(sizes: dict[str, int], lanes: int) -> Iterator[Call]:
+def of_mass(dim: int) -> Iterator[Call]:
     """Of four owned nodes and two ghosts, whose rows have all columns."""
-    owned, nodes, dim = 4, 6, sizes["DIM"]
+    owned, nodes = 4, 6
     start, columns = half(nodes, nodes)
     half_start, half_columns = half(owned, nodes)
     far, far_columns = full(nodes - owned, nodes)
@@ -283,7 +284,6 @@ def of_triangles(sizes: dict[str, int], lanes: int) -> Iterator[Call]:
 CALLS = {
     "cells.c": of_cells,
     "extremes.c": of_extremes,
-    "mass.c": of_mass,
     "multigrid.c": of_multigrid,
     "patches.c": of_patches,
     "roots.c": of_roots,
@@ -361,8 +361,8 @@ FAULTS = [
     ("cells.c", "*out +=", "out[1] +=", "buffer-overflow"),
     ("extremes.c", "least[c] =", "least[c + 1] =", "buffer-overflow"),
     ("extremes.c", "nodes[c * ND + a]", "nodes[c * ND + a + 1]", "buffer-overflow"),
-    ("mass.c", "y[DIM * j + c] +=", "y[DIM * j + c + 1] +=", "buffer-overflow"),
-    ("mass.c", "y[DIM * i + c] += sum", "y[DIM * i + c + 1] += sum", "buffer-overflow"),
+    ("symmetric.c", "y[DIM * j + c] +=", "y[DIM * j + c + 1] +=", "buffer-overflow"),
+    ("symmetric.c", "y[DIM * i + c] += sum", "y[DIM * i + c + 1] += sum", "buffer-overflow"),
     ("multigrid.c", "next[columns[k]]++]", "next[columns[k]]++ + 1]", "buffer-overflow"),
     ("patches.c", "sum[width] +=", "sum[width + 1] +=", "buffer-overflow"),
     ("patches.c", "shape[q * ND + k]", "shape[q * ND + k + 1]", "buffer-overflow"),

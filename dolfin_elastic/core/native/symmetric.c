@@ -1,5 +1,9 @@
 /* Half of a symmetric tangent, see halves.h and split.h: product, diagonal, places, rows in full.
 
+   And a mass of one number for each pair of nodes: the block of nodes i and j is m_ij times the
+   identity.  Its rows are those of all n nodes of a rank, owned and ghosts, with the nodes j >= i,
+   sorted; numbers are of this rank's cells, as other ranks have theirs.
+
    DIM: components of a node. */
 
 #include <stdint.h>
@@ -120,4 +124,108 @@ int64_t rows_in_full(int64_t first, int64_t count, const int64_t full[first + co
         }
     }
   return 0;
+}
+
+/* --- mass --- */
+
+/* y += M x */
+int64_t add_mass_product(int64_t n, const int64_t start[n + 1], const int32_t columns[start[n]],
+                         const double m[start[n]], const double x[DIM * n], double y[DIM * n])
+{
+  for (int64_t i = 0; i < n; i++)
+  {
+    double sum[DIM] = {0.0};
+    for (int64_t k = start[i]; k < start[i + 1]; k++)
+    {
+      const int64_t j = columns[k];
+      for (int c = 0; c < DIM; c++)
+        sum[c] += m[k] * x[DIM * j + c];
+      if (j != i)
+        for (int c = 0; c < DIM; c++)
+          y[DIM * j + c] += m[k] * x[DIM * i + c];
+    }
+    for (int c = 0; c < DIM; c++)
+      y[DIM * i + c] += sum[c];
+  }
+  return -1;
+}
+
+/* Adds `factor` M to half of a tangent, see halves.h, and to rows of ghosts, see `OffProcessRows`:
+   but for fixed unknowns.  Returns a node for which there is no place, or -1. */
+int64_t add_mass_to_half(int64_t n, const int64_t start[n + 1], const int32_t columns[start[n]],
+                         const double m[start[n]], const double factor[1],
+                         const int8_t fixed[DIM * n], int64_t owned, const int64_t half[owned + 1],
+                         const int32_t half_columns[half[owned]],
+                         float high[DIM * DIM * half[owned] + 1],
+                         float low[DIM * DIM * half[owned] + 1], int64_t ghosts,
+                         const int64_t far[ghosts + 1], const int32_t far_columns[far[ghosts]],
+                         double far_blocks[DIM * DIM * far[ghosts]])
+{
+  for (int64_t i = 0; i < n; i++)
+  {
+    int64_t place = i < owned ? half[i] : 0;
+    for (int64_t k = start[i]; k < start[i + 1]; k++)
+    {
+      const int64_t j = columns[k];
+      const double value = factor[0] * m[k];
+      if (i < owned)
+      {
+        while (place < half[i + 1] && half_columns[place] != j)
+          place++;
+        if (place == half[i + 1])
+          return i;
+        for (int c = 0; c < DIM; c++)
+          if (!fixed[DIM * i + c] && !fixed[DIM * j + c])
+          {
+            const int64_t e = DIM * DIM * place + (DIM + 1) * c;
+            add_split(high + e, low + e, value);
+          }
+      }
+      for (int other = 0; other < 2; other++)
+      {
+        const int64_t row = (other ? j : i) - owned, column = other ? i : j;
+        if (row < 0 || (other && i == j))
+          continue;
+        for (int64_t f = far[row]; f < far[row + 1]; f++)
+          if (far_columns[f] == column)
+            for (int c = 0; c < DIM; c++)
+              if (!fixed[DIM * i + c] && !fixed[DIM * j + c])
+                far_blocks[DIM * DIM * f + (DIM + 1) * c] += value;
+      }
+    }
+  }
+  return -1;
+}
+
+/* Adds `factor` M to rows of entries, whose columns are sorted, but for fixed ones; `entries` are
+   those of the nodes.  Returns a node for which there is no place, or -1. */
+int64_t add_mass_to_rows(int64_t n, const int64_t start[n + 1], const int32_t columns[start[n]],
+                         const double m[start[n]], const double factor[1],
+                         const int32_t entries[DIM * n], int64_t rows, const int8_t fixed[rows],
+                         const int64_t begins[rows + 1], const int32_t numbers[begins[rows]],
+                         double values[begins[rows]])
+{
+  for (int64_t i = 0; i < n; i++)
+    for (int64_t k = start[i]; k < start[i + 1]; k++)
+      for (int c = 0; c < 2 * DIM; c++)
+      {
+        const int64_t j = columns[k], a = entries[DIM * i + c % DIM];
+        const int64_t b = entries[DIM * j + c % DIM], row = c < DIM ? a : b;
+        const int32_t column = c < DIM ? b : a;
+        if (fixed[a] || fixed[b] || (c >= DIM && i == j))
+          continue;
+        int64_t lower = begins[row], upper = begins[row + 1];
+        while (lower < upper)
+        {
+          const int64_t middle = (lower + upper) / 2;
+          if (numbers[middle] < column)
+            lower = middle + 1;
+          else
+            upper = middle;
+        }
+        if (lower == begins[row + 1] || numbers[lower] != column)
+          return i;
+        values[lower] += factor[0] * m[k];
+      }
+  return -1;
 }

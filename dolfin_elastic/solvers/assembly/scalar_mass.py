@@ -53,7 +53,7 @@ class ScalarMass:
         self.columns: IndexArray = column[half].astype(np.int32)
         self.values: FloatArray = matrix.data[here][half]
         self.start: IntArray = np.append(0, np.cumsum(np.bincount(row[half], minlength=nodes)))
-        self._loops = compile_c(comm, "mass.c", {"DIM": self._dim}, problem.jit)
+        self._loops = compile_c(comm, "symmetric.c", {"DIM": self._dim}, problem.jit)
         self._rows = (nodes, self.start, self.columns, self.values)
 
     # --- of all ranks ---
