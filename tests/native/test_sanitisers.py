@@ -361,7 +361,7 @@ FAULTS = [
     ("cells.c", "*out +=", "out[1] +=", "buffer-overflow"),
     ("extremes.c", "least[c] =", "least[c + 1] =", "buffer-overflow"),
     ("extremes.c", "nodes[c * ND + a]", "nodes[c * ND + a + 1]", "buffer-overflow"),
-    ("symmetric.c", "y[DIM * j + c] +=", "y[DIM * j + c + 1] +=", "buffer-overflow"),
+    ("symmetric.c", "y[DIM * j + c] += m", "y[DIM * j + c + 1] += m", "buffer-overflow"),
     ("symmetric.c", "y[DIM * i + c] += sum", "y[DIM * i + c + 1] += sum", "buffer-overflow"),
     ("multigrid.c", "next[columns[k]]++]", "next[columns[k]]++ + 1]", "buffer-overflow"),
     ("patches.c", "sum[width] +=", "sum[width + 1] +=", "buffer-overflow"),

@@ -186,11 +186,14 @@ int64_t add_mass_to_half(int64_t n, const int64_t start[n + 1], const int32_t co
         const int64_t row = (other ? j : i) - owned, column = other ? i : j;
         if (row < 0 || (other && i == j))
           continue;
-        for (int64_t f = far[row]; f < far[row + 1]; f++)
-          if (far_columns[f] == column)
-            for (int c = 0; c < DIM; c++)
-              if (!fixed[DIM * i + c] && !fixed[DIM * j + c])
-                far_blocks[DIM * DIM * f + (DIM + 1) * c] += value;
+        int64_t f = far[row];
+        while (f < far[row + 1] && far_columns[f] != column)
+          f++;
+        if (f == far[row + 1])
+          return i;
+        for (int c = 0; c < DIM; c++)
+          if (!fixed[DIM * i + c] && !fixed[DIM * j + c])
+            far_blocks[DIM * DIM * f + (DIM + 1) * c] += value;
       }
     }
   }

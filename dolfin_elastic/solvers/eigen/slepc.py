@@ -335,6 +335,8 @@ class Spectrum(Pencil):
                     return self._by_blocks(shift, count, room, spare, known, seed, below)
             except NotConvergedError:
                 log.info("LOBPCG has not converged: Krylov-Schur with shift and invert instead")
+        if below < np.inf:  # whether there is one at all: more take longer, and may not converge
+            count = min(count, 1)
         return super().near(shift, count, room=room, spare=spare, known=known, seed=seed)
 
     def _by_blocks(

@@ -359,6 +359,8 @@ class LinearSolver:
         if self.ksp.getType() == "cg":
             log.info("conjugate gradients failed (%s): GMRES from here on", in_words(reason))
             self._options.update(GMRES)
+            with self._options.in_force():
+                self.ksp.setFromOptions()  # TS calls it no more
             self.left_gradients = True
             self.refresh()
             return True
