@@ -23,7 +23,7 @@ from dolfin_elastic.solvers.dynamics.implicit.scheme import SchemeContext
 from dolfin_elastic.solvers.dynamics.implicit.volume_constraint import VolumeConstraint
 from dolfin_elastic.solvers.nonlinear.passage import leads_through
 
-SUDDEN = 10.0
+SUDDEN = 2.0
 """Norm of a first residual over that of the last step, above which another guess is tried."""
 
 
@@ -315,7 +315,7 @@ class StageSolver:
 
         The predictor is the better one of a body that flies, the old state of one that is stiff
         and is set going at once: there the predictor may turn cells inside out.  So the old state
-        is asked only where the predictor's residual is not finite, or far above the last step's.
+        is asked only where the predictor's residual is not finite, or well above the last step's.
         """
         moves = self._moving.displacement_dofs
         predicted = self._assembler.origin.copy()
