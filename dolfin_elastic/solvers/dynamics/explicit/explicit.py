@@ -145,6 +145,9 @@ class Explicit:
         self.size = StepSize(problem, a, self.mass, chosen=dt, safety=safety, damper=self._damper)
         self.work = ExternalWork(problem, a, self.mass, v)
         self._energies = MotionBook(problem, LumpedMass(problem, v, self.mass), self.work.energies)
+        if self._sees_velocity:  # bulk viscosity shortens the first step, too
+            problem.context.velocity.x.array[:] = v.x.array
+            problem.context.velocity.x.scatter_forward()
         self.size.begin(self.end)
         first = min(self.size.dt, self.end)
         self.work.damper = self._damper
@@ -269,6 +272,10 @@ class Explicit:
         return count > was
 
     @property
+    def _sees_velocity(self) -> bool:
+        return self._damper is not None and self._damper.sees_velocity
+
+    @property
     def _ended(self) -> bool:
         return self.scheme.t >= self.end * END
 
@@ -367,8 +374,9 @@ class Explicit:
     def _fields(self) -> dict[str, fem.Function]:
         fields = {"displacement": self.problem.u, "velocity": self.v, "rates": self.size.field}
         fields |= self.problem.terms.past
-        sees = self._damper is not None and self._damper.sees_velocity
-        if self.problem.dashpots or sees:  # their velocity is that of half a step before
+        if (
+            self.problem.dashpots or self._sees_velocity
+        ):  # their velocity is that of half a step before
             fields["dashpots"] = self.problem.context.velocity
         return fields
 

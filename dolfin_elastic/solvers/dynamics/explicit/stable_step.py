@@ -35,6 +35,9 @@ CHECKS = (10, 200)
 CHECKS_IN_CONTACT = 50
 """The most where an obstacle may be hit between two checks."""
 
+CHECKS_OF_VISCOSITY = CHECKS[0]
+"""The most with bulk viscosity, whose step shortens as soon as a shock sets in."""
+
 SPACING = 100
 """Fewest steps between two eigenvalue problems of the body, each of which costs about 15 steps."""
 
@@ -145,15 +148,23 @@ class StepSize:
         with stage("stable step"):
             return extremes(self._problem.body.comm, [_maximum(self.bound.evaluate())])[0]
 
-    def step_for(self, square: float) -> float:
+    def step_for(self, square: float, viscous: float | None = None) -> float:
         """Stable step for the largest omega^2 and the dashpots' largest rate c/m [s].
 
         With dashpots at the old velocity, z^2 - (2 - h c/m - h^2 omega^2) z + 1 - h c/m has no root
         beyond -1 up to h = 4/(c/m + sqrt((c/m)^2 + 4 omega^2)), which is 2/omega without them.
+
+        Args:
+            square: Largest omega^2 [1/s^2].
+            viscous: Largest rate c/m of bulk viscosity; None: the present one [1/s].
         """
-        drag = self._drag + self._viscous
+        drag = self._drag + (self._viscous if viscous is None else viscous)
         below = drag + np.sqrt(drag**2 + 4 * square)
         return float(4 / below) if below > 0 else np.inf
+
+    @property
+    def _sees_velocity(self) -> bool:
+        return self._damper is not None and self._damper.sees_velocity
 
     def _find_viscosity(self) -> None:
         """Finds the largest rate c/m of bulk viscosity, to the digits that ranks share."""
@@ -245,7 +256,7 @@ class StepSize:
             StabilityError: The user's step is above the stable one now.
         """
         self._find_viscosity()
-        if self._problem.linear and self._viscous == 0.0:
+        if self._problem.linear and not self._sees_velocity:
             self.next_check = step + CHECKS[1]  # it cannot have changed
             return
         before = self.stable
@@ -257,6 +268,7 @@ class StepSize:
         change = abs(self.stable / before - 1) if np.isfinite(before) else 0.0
         factor = 2.0 if change < 0.01 else 0.5 if change > 0.03 else 1.0
         most = CHECKS_IN_CONTACT if self._contact else CHECKS[1]
+        most = CHECKS_OF_VISCOSITY if self._sees_velocity else most
         self._interval = int(np.clip(factor * self._interval, CHECKS[0], most))
         self.next_check = step + self._interval
 
@@ -273,9 +285,11 @@ class StepSize:
             self._find_frequency(step)
         assert self._chosen is not None
         if self._chosen > self.stable:
+            viscous = self._viscous and self._chosen <= self.step_for(self._square, viscous=0.0)
+            why = "of the bulk viscosity" if viscous else "the body has deformed"
             raise StabilityError(
                 f"at t = {t:.6g} s the stable step has fallen to {self.stable:.4g} s, below "
-                f"dt = {self._chosen:.4g} s, because the body has deformed",
+                f"dt = {self._chosen:.4g} s, because {why}",
                 advice="leave dt out to have it follow the stable step",
             )
 

@@ -21,7 +21,7 @@ from dolfin_elastic import (
     box_body,
     name_parts,
 )
-from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.core.errors import InputError, StabilityError
 from dolfin_elastic.core.parallel import largest, total
 from dolfin_elastic.mesh import Body
 from dolfin_elastic.mesh.distribute import make_mesh
@@ -112,6 +112,60 @@ def test_the_balance_of_a_linear_body_closes(options: ExplicitOptions) -> None:
     assert np.all(np.diff(lost) > 0.0)
     assert lost[-1] > 0.01 * sums[0]
     assert sums == pytest.approx([sums[0]] * len(sums), rel=1e-11)
+    march.destroy()
+
+
+def bar_in_motion(law: Any, bulk: tuple[float, float], **moved: Any) -> Explicit:
+    """A bar whose halves fly at each other at `speed`, or whose left end is `pushed`."""
+    body = box_body(size=(1, 0.1, 0.1), cells=(40, 4, 4))
+    supports = (
+        [Support(on="left", displacement=[moved["pushed"], 0, 0])] if "pushed" in moved else []
+    )
+    problem = Problem(body, law(E=E, nu=NU, density=RHO), supports=supports, degree=1)
+    v = fem.Function(problem.V)
+    speed = moved.get("speed", 0.0)
+    v.interpolate(lambda x: speed * np.array([-np.sign(np.round(x[0] - 0.5, 6)), *(0 * x[1:])]))
+    times = {"end": moved["end"], "dt": moved.get("dt"), "safety": 0.9, "every": 10}
+    return Explicit(problem, v, CentralDifferences, options=ExplicitOptions(bulk=bulk), **times)
+
+
+def gains(march: Explicit) -> list[float]:
+    """Energy from nowhere at the states, over the largest so far."""
+    found, most = [], 1e-300
+    for state in march.run():
+        assert state.energies is not None
+        e = state.energies
+        most = max(most, e["total"], abs(e["external"]))
+        found.append((e["total"] + e["damping"] - e["external"]) / most)
+    march.destroy()
+    return found
+
+
+def test_the_first_step_is_that_of_the_initial_velocity() -> None:
+    """Halves of a bar collide: the quadratic term shortens the step from the start."""
+    rest, march = (bar_in_motion(NeoHookean, (0.06, 1.2), speed=v, end=8e-4) for v in (0.0, 60.0))
+    assert march.size.stable < 0.4 * rest.size.stable
+    rest.destroy()
+    found = gains(march)
+    assert found == pytest.approx([1.0] * len(found), abs=2e-3)  # oscillates by O(dt^2)
+
+
+@pytest.mark.parametrize("law", [LinearElastic, NeoHookean])
+def test_the_step_follows_a_support_that_sets_off_later(law: Any) -> None:
+    """Without a linear term there is no viscosity at rest, but there is in motion."""
+    march = bar_in_motion(law, (0.0, 1.2), pushed="30*max(t - 0.02, 0)", end=0.024)
+    rest = march.size.stable
+    found = gains(march)
+    assert march.size.stable < 0.95 * rest
+    assert np.abs(found[-10:]).max() < 0.01
+
+
+def test_a_step_that_viscosity_makes_too_long_is_named_so() -> None:
+    march = bar_in_motion(
+        NeoHookean, (0.0, 1.2), pushed="30*max(t - 0.001, 0)", end=0.01, dt=1.2e-4
+    )
+    with pytest.raises(StabilityError, match="because of the bulk viscosity"):
+        gains(march)
     march.destroy()
 
 
