@@ -21,6 +21,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable
+from math import ceil, floor, log10
 from typing import NamedTuple
 
 import numpy as np
@@ -42,6 +43,8 @@ EASY = 0.6
 """Of a regular mesh, omega_max^2 over the median of the bounds."""
 ABOVE = 1e-8
 """Of a rate over the lowest one that a limit permits: it is rounded, and more may be thin below."""
+NOTHING = 1e-6
+"""Of a node's mass: less is round-off of its rate, and not added."""
 HALVINGS = 60
 """Of an interval of rates: to the last digits."""
 
@@ -90,7 +93,7 @@ def scaled(
     def factors(rate: float) -> FloatArray:
         """Of the mass of each node, for a rate."""
         if dt is not None:
-            return np.asarray(np.maximum(rates / rate, 1.0))
+            return np.asarray(np.where(rates > (1 + NOTHING) * rate, rates / rate, 1.0))
         return np.asarray(np.where(rates > THIN * rate, rates / (EASY * rate), 1.0))
 
     def added(rate: float) -> float:
@@ -113,8 +116,7 @@ def scaled(
             f"{100 * fraction:.3g} % of the mass would have to be added at {count} nodes{place}, "
             f"where steps of {2 / np.sqrt(worst):.2g} s are stable",
             where="dynamics.mass_scaling",
-            expected="a shorter dt, a mesh without such thin elements, or "
-            f"mass_scaling = {fraction:.2g}",
+            expected=_advice(fraction),
         )
     if count:
         log.info(
@@ -130,6 +132,14 @@ def scaled(
     if count and row is not None:
         numbers |= {f"added_mass_{x}": v for x, v in zip("xyz", row.place, strict=False)}
     return ScaledMass(np.asarray(np.repeat(factor, dim) * mass), numbers)
+
+
+def _advice(fraction: float) -> str:
+    """What to do where a fraction of the mass would have to be added: settings permit 1."""
+    ways = "a shorter dt, or a mesh without such thin elements"
+    digits = max(1 - floor(log10(fraction)), 0)
+    enough = ceil(fraction * 10**digits) / 10**digits
+    return f"{ways}, or mass_scaling = {enough:.2g}" if enough <= 1 else ways
 
 
 def _lowest(added: Callable[[float], float], least: float, worst: float, most: float) -> float:

@@ -26,6 +26,7 @@ from dolfin_elastic.core.parallel import largest, total
 from dolfin_elastic.mesh import Body
 from dolfin_elastic.mesh.distribute import make_mesh
 from dolfin_elastic.solvers.dynamics.explicit.explicit import Explicit, ExplicitOptions
+from dolfin_elastic.solvers.dynamics.explicit.mass_scaling import _advice
 from dolfin_elastic.solvers.dynamics.explicit.scheme import CentralDifferences
 
 FREE, SCHEME = "free", "central-differences"
@@ -206,14 +207,14 @@ def thin(altitude: float) -> Body:
     return body
 
 
-def scaled(altitude: float, **keys: Any) -> tuple[Explicit, list[Any]]:
-    """A block that is set in motion, with its states."""
+def block(altitude: float, **keys: Any) -> Explicit:
+    """A block that is set in motion."""
     law = NeoHookean(E=E, nu=NU, density=RHO)
     problem = Problem(thin(altitude), law, supports=[Support(on="left")], degree=1)
     v = fem.Function(problem.V)
     v.interpolate(lambda x: np.array([0 * x[0], x[0], 0 * x[0]]))
     options = ExplicitOptions(mass_scaling=keys.pop("mass_scaling", 0.0))
-    march = Explicit(
+    return Explicit(
         problem,
         v,
         CentralDifferences,
@@ -222,6 +223,11 @@ def scaled(altitude: float, **keys: Any) -> tuple[Explicit, list[Any]]:
         safety=0.9,
         options=options,
     )
+
+
+def scaled(altitude: float, **keys: Any) -> tuple[Explicit, list[Any]]:
+    """A block with the states of its motion."""
+    march = block(altitude, **keys)
     states = [(s.t, s.energies, s.numbers, s.max_displacement) for s in march.run()]
     march.destroy()
     return march, states
@@ -245,19 +251,49 @@ def test_mass_of_a_thin_element() -> None:
     assert sums == pytest.approx([sums[0]] * len(sums), rel=0.02)
 
 
+def test_a_step_gets_the_mass_that_it_needs() -> None:
+    """m r/s at nodes whose bound r is above s = (2 MARGIN/dt)^2, which then bounds omega^2."""
+    plain = block(0.02)
+    assert plain.size.bound is not None
+    rates, mass, dt = plain.size.bound.evaluate(), plain.mass[::3].copy(), 1.5 * plain.size.stable
+    plain.destroy()
+    more = np.dot(mass, np.maximum(rates * (dt / 1.8) ** 2, 1.0) - 1)
+    comm = plain.problem.body.comm
+    expected = total(comm, float(more)) / total(comm, float(mass.sum()))
+    assert 0.001 < expected < 0.2
+    march = block(0.02, mass_scaling=1.0, dt=dt)
+    assert march.size.stable > dt / 0.9 * (1 - 1e-9)
+    march.destroy()
+    added = total(comm, float(march.mass[::3].sum())) / total(comm, float(mass.sum())) - 1
+    assert added == pytest.approx(expected, rel=1e-8)
+
+
 def test_mass_above_the_limit_is_refused() -> None:
+    """The advice is enough, and given where settings permit it, up to 1."""
     plain, _ = scaled(0.02)
-    with pytest.raises(InputError, match=r"% of the mass would have to be added at \d+ nodes"):
-        scaled(0.02, mass_scaling=1e-4, dt=4 * plain.size.stable)
-    march, states = scaled(0.02, mass_scaling=1.0, dt=1.5 * plain.size.stable)
-    assert 0.0 < states[-1][2]["added_mass_fraction"] < 0.2
-    assert march.size.stable > 1.5 * plain.size.stable
+    refused = r"% of the mass would have to be added at \d+ nodes"
+    with pytest.raises(InputError, match=refused) as much:
+        scaled(0.02, mass_scaling=1e-4, dt=20 * plain.size.stable)
+    assert "mass_scaling = " not in str(much.value)
+    with pytest.raises(InputError, match=refused) as little:
+        scaled(0.02, mass_scaling=1e-4, dt=1.5 * plain.size.stable)
+    enough = float(str(little.value).rpartition("mass_scaling = ")[2].split()[0])
+    _, states = scaled(0.02, mass_scaling=enough, dt=1.5 * plain.size.stable)
+    assert 0.9 * enough < states[-1][2]["added_mass_fraction"] <= enough
+    assert [_advice(x).split(" = ")[1] for x in (0.0121, 0.12, 0.995)] == ["0.013", "0.12", "1"]
+    assert "=" not in _advice(2.81)
 
 
 def test_without_thin_elements_nothing_is_added() -> None:
-    """A regular mesh gets no mass."""
+    """A regular mesh gets no mass, nor does one whose step needs no more than round-off."""
     _, states = scaled(1.0, mass_scaling=0.01)
     assert states[-1][2] == {"added_mass_fraction": 0.0}
+    regular = block(1.0)
+    dt = 1.8 / np.sqrt(regular.size.cell_bound() * (1 - 1e-9))
+    regular.destroy()
+    march = block(1.0, mass_scaling=0.01, dt=dt)
+    assert next(march.run()).numbers == {"added_mass_fraction": 0.0}
+    march.destroy()
 
 
 @pytest.mark.parametrize(
