@@ -36,7 +36,7 @@ CHECKS_IN_CONTACT = 50
 """The most where an obstacle may be hit between two checks."""
 
 CHECKS_OF_VISCOSITY = CHECKS[0]
-"""The most with bulk viscosity, whose step shortens as soon as a shock sets in."""
+"""Steps between two looks at bulk viscosity alone, which shortens the step as a shock sets in."""
 
 SPACING = 100
 """Fewest steps between two eigenvalue problems of the body, each of which costs about 15 steps."""
@@ -115,7 +115,8 @@ class StepSize:
         history = problem.history
         self._unloads, self._least = history is not None and history.yields, 0.0
         self._interval, self._found_at, self._bound_in_doubt = CHECKS[0], 0, False
-        self.stable, self.dt, self.next_check = np.inf, np.inf, CHECKS[0]
+        self.stable, self.dt = np.inf, np.inf
+        self.next_check = self._bound_due = CHECKS[0]
 
     # --- frequencies ---
 
@@ -244,7 +245,8 @@ class StepSize:
 
     def check_before(self, step: int) -> None:
         """Demands an eigenvalue problem before the next step, because energy has drifted."""
-        self.next_check, self._bound_in_doubt = step, True
+        self.next_check = self._bound_due = step
+        self._bound_in_doubt = True
 
     def update(self, step: int, t: float) -> None:
         """Finds the stable step of the present state, and the step from here on. Collective.
@@ -259,18 +261,23 @@ class StepSize:
         if self._problem.linear and not self._sees_velocity:
             self.next_check = step + CHECKS[1]  # it cannot have changed
             return
-        before = self.stable
-        self._follow_bound(step)
+        before, due = self.stable, step >= self._bound_due
+        if due:
+            self._follow_bound(step)
+        else:
+            self.stable = self.step_for(self._square)
         if self._chosen is None:
             self._set_step()
         elif self._chosen > self.stable:
             self._confirm(step, t)
-        change = abs(self.stable / before - 1) if np.isfinite(before) else 0.0
-        factor = 2.0 if change < 0.01 else 0.5 if change > 0.03 else 1.0
-        most = CHECKS_IN_CONTACT if self._contact else CHECKS[1]
-        most = CHECKS_OF_VISCOSITY if self._sees_velocity else most
-        self._interval = int(np.clip(factor * self._interval, CHECKS[0], most))
-        self.next_check = step + self._interval
+        if due:
+            change = abs(self.stable / before - 1) if np.isfinite(before) else 0.0
+            factor = 2.0 if change < 0.01 else 0.5 if change > 0.03 else 1.0
+            most = CHECKS_IN_CONTACT if self._contact else CHECKS[1]
+            self._interval = int(np.clip(factor * self._interval, CHECKS[0], most))
+            self._bound_due = step + self._interval
+        looks = step + CHECKS_OF_VISCOSITY if self._sees_velocity else self._bound_due
+        self.next_check = min(self._bound_due, looks)
 
     def _set_step(self) -> None:
         self.dt = min(self._safety * self.stable, self.contact_limit)
@@ -342,6 +349,7 @@ class StepSize:
             "found_at": self._found_at,
             "interval": self._interval,
             "due": self.next_check,
+            "bound_due": self._bound_due,
             "doubtful": self._bound_in_doubt,
             "least": self._least,
             "viscous": self._viscous,
@@ -352,6 +360,7 @@ class StepSize:
         self._square, self._found_square = saved["square"], saved["known_square"]
         self._found_at, self._interval = saved["found_at"], saved["interval"]
         self.next_check, self._bound_in_doubt = saved["due"], saved["doubtful"]
+        self._bound_due = int(saved.get("bound_due", self.next_check))
         self._least = float(saved.get("least", 0.0))
         self._viscous = float(saved.get("viscous", 0.0))
         self.stable = self.step_for(self._square)
