@@ -329,8 +329,9 @@ def show_end(
     for name, value in _end_rows(state, motion, most):
         table.add_row(name, value)
     iterations = f", {counted(newton, 'Newton iteration')}" if newton else ""
-    again = f" since step {since}" if since else ""
-    screen.print(f"done: {counted(state.step, 'step')}{iterations}{again}")
+    mine = f"{state.step - since} of them{iterations.replace(',', ' and')}"
+    done = f"done: {counted(state.step, 'step')}"
+    screen.print(f"{done}, {mine} since step {since}" if since else f"{done}{iterations}")
     show_table(screen, table)
     # Not in the table: the line is longer than a column may be.
     screen.tell(f" time: {_times(seconds)}")

@@ -94,7 +94,7 @@ def _added_mass(summary: Table) -> str:
     if not fraction > 0:
         return ""
     place = [_number(numbers.get(f"added_mass_{x}")) for x in "xyz" if f"added_mass_{x}" in numbers]
-    at = f", most at ({', '.join(number(x, 3) for x in place)}) m" if place else ""
+    at = f", most at {_unit(summary).point(place)}" if place else ""
     return f"; mass scaling has added {percent(fraction)} of the mass{at}"
 
 

@@ -315,6 +315,11 @@ def test_long_steps_of_a_rate_are_noted() -> None:
             exact = y * exp(-x) + 1 - exp(-x)
             found = error_of_rates(law)(x * TAU)
             assert found == pytest.approx(2 * abs(branch - exact) / whole, rel=tolerance)
+    # The bulk modulus makes no difference, and steps much longer than the time are no better.
+    stiff = error_of_rates(law_of({**MAXWELL, "parameters": {**SHEARED, "K": 1e4}}))
+    loose = error_of_rates(law_of({**MAXWELL, "parameters": SHEARED}))
+    assert stiff(0.5 * TAU) == pytest.approx(loose(0.5 * TAU), rel=1e-3)
+    assert stiff(100 * TAU) > 0.9 * stiff(0.5 * TAU) > 0.02
     assert error_of_rates(law_of(J2))(1.0) == 0.0
     assert error_of_rates(law_of(NORTON))(900.0) < 1e-5
 

@@ -131,7 +131,19 @@ class Branched(spatial.SpatialRecord):
     @model_validator(mode="before")
     @classmethod
     def _other_name(cls, table: object) -> object:
-        if not isinstance(table, Mapping) or "prony" not in table:
+        if not isinstance(table, Mapping):
+            return table
+        if "prony" not in table:
+            rows = table.get("viscous")
+            rows = rows if isinstance(rows, list | tuple) else ()
+            named = any(isinstance(row, Mapping) and "g" in row for row in rows)
+            if named and "viscous_constants" not in table:
+                raise InputError(
+                    "`g` is a ratio to the stress of a sudden strain",
+                    where="viscous",
+                    expected='prony = [{g = 0.3, tau = "1 s"}]; or viscous_constants, which says '
+                    "what the law's other constants are",
+                )
             return table
         if "viscous" in table:
             raise InputError(

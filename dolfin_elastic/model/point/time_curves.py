@@ -244,10 +244,12 @@ def time_findings(curves: TimeCurves) -> Iterator[Finding]:
     if len(curves.t):
         yield _creep(curves)
     between = f"between strains of {percent(strain)} and -{percent(strain)}"
-    often = f", at {quantity(lost.frequency, 'Hz')}" if len(curves.t) else ""
-    text = f"{between}: up to {quantity(lost.lost, 'J/m^3')} is lost in a cycle{often}"
+    energy = quantity(lost.lost, "J/m^3")
+    text = (
+        f"{between}: of three cycles that at {quantity(lost.frequency, 'Hz')} loses most, {energy}"
+    )
     if not len(curves.t):
-        text = f"{between}, from the rest: {quantity(lost.lost, 'J/m^3')} is lost"
+        text = f"{between}, from the rest: {energy} is lost"
     yield note("loops", text, **values)
 
 

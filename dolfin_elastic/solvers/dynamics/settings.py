@@ -417,7 +417,8 @@ def _unused_by_explicit(s: DynamicsSettings, scheme: str, leave: str) -> Iterato
     if not s.row.scheme.damps:
         instead = f'{leave}, or "central-differences"'
         yield UnusedKeys(["rayleigh"], f"{scheme} has no rayleigh damping", instead)
-        yield UnusedKeys(["bulk_viscosity"], f"{scheme} has no bulk viscosity", instead)
+        central = 'leave it out; or scheme = "central-differences"'
+        yield UnusedKeys(["bulk_viscosity"], f"{scheme} has no bulk viscosity", central)
     yield UnusedKeys(["times"], f"{scheme} meets no times exactly", leave)
     if s.dt is not None:
         yield UnusedKeys(

@@ -305,6 +305,8 @@ def test_both_names_are_one() -> None:
         c10=1.0, nu=0.3, viscous=prony, viscous_constants="instantaneous"
     )
     assert one == again
+    with pytest.raises(InputError, match="`g` is a ratio to the stress of a sudden strain"):
+        MATERIALS["yeoh"](c10=1.0, nu=0.3, viscous=prony)
     assert one.sudden * one.c10 == pytest.approx(other.sudden * other.c10)
     assert one.lasting * one.c10 == pytest.approx(other.lasting * other.c10)
 
@@ -359,13 +361,16 @@ def test_curves_are_written(tmp_path: pathlib.Path) -> None:
         law = viscous(name)
         report = material_report(law, largest=1.1)
         files = write(name, report, tmp_path)
-        assert [f.name.rpartition("_")[2] for f in files[-3:]] == [
+        assert [f.name.rpartition("_")[2] for f in files[-6:]] == [
             "relaxation.csv",
             "oscillation.csv",
             "relaxation.png",
+            "creep.csv",
+            "loops.csv",
+            "loops.png",
         ]
-        assert files[-1].stat().st_size > 10_000
-        tables = [np.genfromtxt(f, delimiter=",", names=True) for f in files[-3:-1]]
+        assert files[-4].stat().st_size > 10_000
+        tables = [np.genfromtxt(f, delimiter=",", names=True) for f in files[-6:-4]]
         assert ("mu" in tables[0].dtype.names) == bool(heads)
         assert tables[0]["relative"][[0, -1]] == pytest.approx([law.sudden, 1], rel=0.02)
         assert tables[1]["storage"][[0, -1]] == pytest.approx([1, law.sudden], rel=1e-3)
@@ -380,5 +385,5 @@ def test_the_report_draws_what_relaxes() -> None:
     plain = {"law": "linear-elastic", "E": "1 MPa", "nu": 0.3}
     (one,) = materials_of({"materials": {"gel": plain}})
     (other,) = materials_of({"materials": {"gel": {**plain, "viscous": SERIES}}})
-    assert len(other.charts) == len(one.charts) + 2
-    assert "frequency [Hz]" in other.charts[-1]
+    assert len(other.charts) == len(one.charts) + 4  # creep and loops, too
+    assert "frequency [Hz]" in other.charts[-3]

@@ -128,10 +128,25 @@ def scaled(
             0.0 if row is None else row.value - 1,
             2 / np.sqrt(worst),
         )
+    if dt is None:
+        _tell_of_limit(added(_median(problem, rates, worst)), most)
     numbers = {"added_mass_fraction": fraction}
     if count and row is not None:
         numbers |= {f"added_mass_{x}": v for x, v in zip("xyz", row.place, strict=False)}
     return ScaledMass(np.asarray(np.repeat(factor, dim) * mass), numbers)
+
+
+def _tell_of_limit(needed: float, most: float) -> None:
+    """Logs the fraction that would make thin elements no stiffer than others, if 0 or too much."""
+    if not needed:
+        log.info("mass scaling: no element is thin, and no mass is added")
+    elif needed > most * (1 + 1e-6):
+        log.info(
+            "mass scaling: dynamics.mass_scaling = %.3g limits it; with %.3g thin elements would "
+            "be no stiffer than the others",
+            most,
+            needed,
+        )
 
 
 def _advice(fraction: float) -> str:
