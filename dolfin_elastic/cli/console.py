@@ -337,13 +337,17 @@ def show_end(
     screen.tell(f" time: {_times(seconds)}")
 
 
+_ENERGIES = {"damping": "dissipated by damping", "external": "work of loads and supports"}
+
+
 def _end_rows(state: State, motion: bool, most: float = 0.0) -> list[tuple[str, str]]:
     when = " at the end" if motion or state.max_displacement < most / 2 else ""
     rows = [(f"largest displacement{when}", state.unit.length(state.max_displacement, 5))]
-    for name in ("strain", "kinetic", "contact", "total", "external"):
+    for name in ("strain", "kinetic", "contact", "total", "damping", "external"):
         known = math.isfinite(state.energies.get(name, math.nan))
-        if known and (motion or name == "strain"):
-            label = "work of loads and supports" if name == "external" else f"{name} energy"
+        nothing = name == "damping" and not state.energies.get(name)
+        if known and not nothing and (motion or name == "strain"):
+            label = _ENERGIES.get(name, f"{name} energy")
             rows.append((label, f"{state.energies[name]:.5g} J"))
     largest = _force_scale(state)
     for name, force in state.reactions.items():
