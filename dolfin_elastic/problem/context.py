@@ -486,3 +486,10 @@ def _formulas(context: FormContext) -> FormulaValues:
             context.body.fields,
         )
     return context.formulas
+
+
+def show_velocity(context: FormContext, v: FloatArray) -> None:
+    """Sets the velocity that dashpots see, owned entries of the displacement [m/s]. Collective."""
+    seen = context.velocity.x
+    seen.array[: len(v)] = v
+    seen.scatter_forward()

@@ -108,7 +108,11 @@ class Damping:
 
     def work(self) -> ufl.Form | None:
         """Virtual work of the stresses that damp, at the velocity `rate`."""
-        return sum(self._terms()) if self.inside else None
+        form = ufl.Form([])
+        for region in self._problem.regions:
+            if self._damps(region):
+                form += ufl.inner(self._stress(region), self._test) * self._volume(region)
+        return form if self.inside else None
 
     def moduli(self, region: MaterialRegion) -> Expr | None:
         """Of a region what adds to dP/dF in the tangent, 3x3x3x3 [Pa]; None where nothing damps.
@@ -117,11 +121,11 @@ class Damping:
         and of that by the displacement what is symmetric, grad du S : grad v.  The rest is small,
         of the strain within a step over one.
         """
-        if region.law.viscosity is None and self._stiffness is None:
+        if not self._damps(region):
             return None
         i, j, k, m = ufl.indices(4)
         one, moduli = ufl.Identity(3), []
-        fixed = [] if region.law.linear else [ufl.inv(self._F) * self._stress(region, self.rate)]
+        fixed = [] if region.law.linear else [ufl.inv(self._F) * self._stress(region)]
         if region.law.viscosity is not None:
             G = ufl.variable(self._gradient(self.rate))
             moduli.append(self.shift * ufl.diff(self._viscous(region, G), G))
@@ -144,18 +148,10 @@ class Damping:
                 form += ufl.inner(change, self._test) * self._volume(region)
         return form
 
-    def _terms(self) -> list[ufl.Form]:
-        terms = list[ufl.Form]()
-        for region in self._problem.regions:
-            if region.law.viscosity is not None:
-                viscous = self._viscous(region, self._gradient(self.rate))
-                terms.append(ufl.inner(viscous, self._test) * self._volume(region))
-            if self._stiffness is not None:
-                elastic = ufl.inner(self._rate_of(region, self.rate), self._test)
-                terms.append(elastic * self._volume(region))
-        return terms
-
     # --- stresses ---
+
+    def _damps(self, region: MaterialRegion) -> bool:
+        return region.law.viscosity is not None or self._stiffness is not None
 
     @property
     def _F(self) -> Expr:
@@ -189,19 +185,19 @@ class Damping:
         growth = self._problem.eigenstrains.get(region.name)
         return (law if growth is None else GrownLaw(law, growth)).stress(F)
 
-    def _rate_of(self, region: MaterialRegion, rate: Expr) -> Expr:
+    def _rate_of(self, region: MaterialRegion) -> Expr:
         """b F Sdot = b (Pdot - Fdot F^-1 P), b Pdot in laws of small strains."""
         P = self._elastic_stress(region, self._F)
-        dP = ufl.derivative(P, self._problem.w, rate)
+        dP = ufl.derivative(P, self._problem.w, self.rate)
         if not region.law.linear:
-            dP = dP - self._gradient(rate) * ufl.inv(self._F) * P
+            dP = dP - self._gradient(self.rate) * ufl.inv(self._F) * P
         return self._stiffness * dP
 
-    def _stress(self, region: MaterialRegion, rate: Expr) -> Expr:
+    def _stress(self, region: MaterialRegion) -> Expr:
         """All damping stress of a region."""
         result = 0 * self._F
         if region.law.viscosity is not None:
-            result += self._viscous(region, self._gradient(rate))
+            result += self._viscous(region, self._gradient(self.rate))
         if self._stiffness is not None:
-            result += self._rate_of(region, rate)
+            result += self._rate_of(region)
         return result

@@ -22,12 +22,11 @@ from dolfin_elastic.core.si_text import percent, quantity
 from dolfin_elastic.core.types import BoolArray, FloatArray
 from dolfin_elastic.model.kinematics import deformation_from, gradient_symbol
 from dolfin_elastic.model.materials.law import Law
+from dolfin_elastic.model.materials.memory import SIX
 from dolfin_elastic.model.materials.plasticity import Plastic
 from dolfin_elastic.model.point.steps import PointOverSteps
 from dolfin_elastic.model.point.tested import Finding, note
 
-_PLACES = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
-"""Components of F that change."""
 _LARGEST = 1.1
 """Stretch of these tests, if the curves of the material go so far."""
 _YIELD_STRAINS = 2.0
@@ -101,19 +100,19 @@ class _Bars:
     F is upper triangular, which excludes rotations and nothing else.
 
     Attributes:
-        H: F - I in the order of `_PLACES`, shape (count, 6).
+        H: F - I in the order of `memory.SIX`, shape (count, 6).
         nominal: Force over undeformed area [Pa], shape (count,).
     """
 
     def __init__(self, law: Law) -> None:
         symbol = ufl.Constant(gradient_symbol().ufl_domain(), (6,))
         h = ufl.variable(symbol)
-        place = {ij: h[k] for k, ij in enumerate(_PLACES)}
+        place = {ij: h[k] for k, ij in enumerate(SIX)}
         rows = [[place.get((i, j), 0) for j in range(3)] for i in range(3)]
         F = deformation_from(ufl.as_matrix(rows))
         self._point = PointOverSteps(law, F, [symbol])
         P = self._point.law.stress(F)
-        P = ufl.as_vector([P[i, j] for i, j in _PLACES])
+        P = ufl.as_vector([P[i, j] for i, j in SIX])
         self._stress, self._tangent = map(self._point.quantity, (P, ufl.diff(P, h)))
         self._start = self._point.values
         self.begin(1)

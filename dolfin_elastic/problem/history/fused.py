@@ -90,15 +90,10 @@ class _Region:
         self._tables: list[AnyArray] = [
             np.ascontiguousarray(one) for one in (table, geometry, weights)
         ]
+        filled, loops = [*step.functions.values()], Loops("steps.c", sizes)
         self.kernel = CellExpression(
-            ufl.as_vector(given),
-            part.points,
-            w,
-            jit_options,
-            Loops("steps.c", sizes),
-            filled=[*step.functions.values()],
+            ufl.as_vector(given), part.points, w, jit_options, loops, filled=filled
         )
-        filled = step.functions.values()
         self.fixed = [one for one in self.kernel.fields if one not in filled]
         self._places = [
             self.kernel.place_of(step.functions[v.name]) if v.name in step.functions else -1

@@ -54,7 +54,7 @@ class LumpedMass(NodalMass):
     """
 
     def __init__(self, problem: Problem, v: fem.Function, mass: FloatArray) -> None:
-        super().__init__(problem, v, mass.__mul__)
+        super().__init__(problem, v, lambda w: mass * w)
 
 
 def lumped(problem: Problem, assembler: Assembler) -> FloatArray:

@@ -14,6 +14,7 @@ from petsc4py import PETSc
 from dolfin_elastic.core.parallel import total
 from dolfin_elastic.core.timing import stage
 from dolfin_elastic.core.types import FloatArray
+from dolfin_elastic.problem.context import show_velocity
 from dolfin_elastic.problem.damping import Damping
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.problem.term_list import forms_of
@@ -144,9 +145,7 @@ class DynamicResidual:
         rates.array[: len(a)] = a + self._drag
         rates.scatter_forward()
         if self.problem.dashpots:
-            velocity = self.problem.context.velocity.x
-            velocity.array[: len(v)] = v
-            velocity.scatter_forward()
+            show_velocity(self.problem.context, v)
         if self.damping.inside:
             self.damping.set_velocity(v)
 

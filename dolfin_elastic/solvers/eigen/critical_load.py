@@ -17,7 +17,7 @@ from collections.abc import Sequence
 from dolfin_elastic.core.startup.slepc import SLEPc
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.solvers.eigen.mode_shapes import complete
-from dolfin_elastic.solvers.eigen.slepc import SPARE, Pair, Pencil
+from dolfin_elastic.solvers.eigen.slepc import SPARE, Pair, Pencil, Search
 
 log = logging.getLogger("dolfin_elastic")
 
@@ -36,7 +36,7 @@ class CriticalLoad(Pencil):
         room = int(self.A.getSize()[0]) - 1
         if not self.pressures:
             return complete(self, 0.0, count, room=room)[:count]
-        pairs = self.near(0.0, count, spare=SPARE, room=room)
+        pairs = self.near(Search(0.0, count, room, spare=SPARE))
         log.info("with a pressure beside the displacement critical factors are not counted")
         return pairs[:count]
 

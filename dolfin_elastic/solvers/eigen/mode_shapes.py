@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from dolfinx import fem
@@ -15,7 +16,7 @@ from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.model.amplitude import RAMP
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.problem.term_list import refuse_motion
-from dolfin_elastic.solvers.eigen.slepc import SPARE, Pair, Pencil, uneven
+from dolfin_elastic.solvers.eigen.slepc import SPARE, Pair, Pencil, Search, uneven
 
 log = logging.getLogger("dolfin_elastic")
 
@@ -141,7 +142,7 @@ def complete(
     Raises:
         ConvergenceError: Some are not found.
     """
-    pairs = spectrum.near(shift, count, spare=SPARE, room=room, known=known)
+    pairs = spectrum.near(Search(shift, count, room, spare=SPARE, known=known))
     for attempt in range(1, 6):
         values = np.array([pair.value for pair in pairs])
         if not len(values):
@@ -149,6 +150,7 @@ def complete(
         top, result = _gap(values, count)
         vectors = [*known, *(pair.vector for pair in pairs)]
         left = room - len(pairs)
+        again = Search(shift, SPARE, left, known=vectors, seed=attempt)
         if spectrum.counted:
             below = _counted(spectrum, top)
             missing = below - result - zeros
@@ -161,9 +163,9 @@ def complete(
                 log.info("checked for missed modes by the signs of pivots: none")
                 return pairs
             log.info("%d modes are missing: another search", missing)
-            pairs += spectrum.near(shift, missing, room=left, known=vectors, seed=attempt)
+            pairs += spectrum.near(replace(again, count=missing))
         else:
-            more = spectrum.near(shift, SPARE, room=left, known=vectors, seed=attempt, below=top)
+            more = spectrum.near(replace(again, below=top))
             if not any(pair.value < top for pair in more):
                 log.info("checked for missed modes by a second search: none")
                 return pairs

@@ -18,7 +18,7 @@ import logging
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
@@ -76,6 +76,30 @@ class Pair:
 
     value: float
     vector: FloatArray
+
+
+@dataclass(frozen=True)
+class Search:
+    """Which eigenpairs are looked for.
+
+    Attributes:
+        shift: Below all values that are looked for: omega^2 [1/s^2], or a load factor.
+        count: How many, the nearest ones.
+        room: How many there are at all.
+        spare: How many more than `count`, which may be less accurate.
+        known: Vectors that are found already, owned entries of each, orthogonal to each other in
+            the inner product of the solver.
+        seed: Number of a search, each of which begins with vectors of its own.
+        below: Values above it are not wanted, though there may be some.
+    """
+
+    shift: float
+    count: int
+    room: int
+    spare: int = 0
+    known: Sequence[FloatArray] = ()
+    seed: int = 0
+    below: float = np.inf
 
 
 def choose_eigen(problem: Problem, settings: LinearSettings, *, counted: bool) -> Choice:
@@ -235,42 +259,23 @@ class Pencil(ABC):
             shifted.axpy(-number, self.B, PETSc.Mat.Structure.UNKNOWN_NONZERO_PATTERN)
         return shifted
 
-    def near(
-        self,
-        shift: float,
-        count: int,
-        *,
-        room: int,
-        spare: int = 0,
-        known: Sequence[FloatArray] = (),
-        seed: int = 0,
-        below: float = np.inf,
-    ) -> list[Pair]:
+    def near(self, search: Search) -> list[Pair]:
         """The eigenpairs next to a shift, in the order of their values. Collective.
-
-        Args:
-            shift: Below all values that are looked for: omega^2 [1/s^2], or a load factor.
-            room: How many there are at all.
-            spare: How many more than `count`, which may be less accurate.
-            known: Vectors that are found already, owned entries of each, orthogonal to each other
-                in the inner product of the solver.
-            seed: Number of a search, each of which begins with vectors of its own.
-            below: Values above it are not wanted, though there may be some.
 
         Raises:
             ConvergenceError: The solver has failed.
             StoppedError: See `solve`.
         """
-        count = min(count + spare, room)
+        shift, count = search.shift, min(search.count + search.spare, search.room)
         if count < 1:
             return []
         eps = SLEPc.EPS().create(self.A.comm)
         eps.setOptionsPrefix(PREFIX)
         eps.setTolerances(tol=self.tolerance, max_it=500)
-        self.set_up(eps, shift, count, room)
-        spaces = [self._vector(v) for v in (uneven(self.problem, seed), *known)]
+        self.set_up(eps, shift, count, search.room)
+        spaces = [self._vector(v) for v in (uneven(self.problem, search.seed), *search.known)]
         eps.setInitialSpace(spaces[0])
-        if known:
+        if search.known:
             eps.setDeflationSpace(spaces[1:])
         temporary: Sequence[_Freed | None] = ()
         try:
@@ -317,52 +322,35 @@ class Spectrum(Pencil):
 
     _preconditioned: Preconditioned | None = None
 
-    def near(
-        self,
-        shift: float,
-        count: int,
-        *,
-        room: int,
-        spare: int = 0,
-        known: Sequence[FloatArray] = (),
-        seed: int = 0,
-        below: float = np.inf,
-    ) -> list[Pair]:
+    def near(self, search: Search) -> list[Pair]:
         """See `Pencil`; without factors and options of the user by LOBPCG, if it converges."""
         if not self.counted and not self.options.users:
             try:
                 with stage("solve"), failing():
-                    return self._by_blocks(shift, count, room, spare, known, seed, below)
+                    return self._by_blocks(search)
             except NotConvergedError:
                 log.info("LOBPCG has not converged: Krylov-Schur with shift and invert instead")
-        if below < np.inf:  # whether there is one at all: more take longer, and may not converge
-            count = min(count, 1)
-        return super().near(shift, count, room=room, spare=spare, known=known, seed=seed)
+        if search.below < np.inf:  # whether there is one at all: more take longer, or fail
+            search = replace(search, count=min(search.count, 1))
+        return super().near(search)
 
-    def _by_blocks(
-        self,
-        shift: float,
-        count: int,
-        room: int,
-        spare: int,
-        known: Sequence[FloatArray],
-        seed: int,
-        below: float,
-    ) -> list[Pair]:
+    def _by_blocks(self, search: Search) -> list[Pair]:
         """See `near`: `BLOCK` after `BLOCK`."""
         pairs = list[Pair]()
-        while (wanted := min(count, room) - len(pairs)) > 0:
-            more = spare if wanted <= BLOCK else SPARE
-            size = min(wanted, BLOCK) + min(more, room - len(pairs) - min(wanted, BLOCK))
-            before = [*known, *(pair.vector for pair in pairs)]
-            block = Lobpcg(self._with_cycle(shift), size, known=before, seed=seed + len(pairs))
-            block.solve(min(wanted, BLOCK), self.tolerance, below)
-            kept = block.values < below
-            if wanted > BLOCK or spare == 0:
+        while (wanted := min(search.count, search.room) - len(pairs)) > 0:
+            now = min(wanted, BLOCK)
+            more = search.spare if now == wanted else SPARE
+            size = now + min(more, search.room - len(pairs) - now)
+            known = [*search.known, *(pair.vector for pair in pairs)]
+            seed = search.seed + len(pairs)
+            block = Lobpcg(self._with_cycle(search.shift), size, known=known, seed=seed)
+            block.solve(now, self.tolerance, search.below)
+            kept = block.values < search.below
+            if now < wanted or search.spare == 0:
                 kept &= block.converged
             values, vectors = block.values[kept], block.vectors()[kept]
             pairs += [Pair(float(value), v) for value, v in zip(values, vectors, strict=True)]
-            if below < np.inf:
+            if search.below < np.inf:
                 break
         return sorted(pairs, key=lambda pair: pair.value)
 

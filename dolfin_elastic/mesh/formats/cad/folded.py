@@ -36,12 +36,13 @@ def nodes_of(gmsh: ModuleType, dim: int) -> tuple[IntArray, IntArray, FloatArray
     return np.asarray(cells), nodes, np.asarray(coordinates).reshape(-1, 3)[at]
 
 
-def _folded(gmsh: ModuleType, dim: int, least: float = _LEAST) -> IntArray:
-    """Positions of the cells whose map is singular, or almost, somewhere in them.
+def _folded(gmsh: ModuleType, dim: int) -> IntArray:
+    """Positions of the cells whose map is singular, or almost, somewhere in them."""
+    return np.flatnonzero(_shapes(gmsh, dim) < _LEAST)
 
-    Args:
-        least: Smallest determinant of the map over the largest.
-    """
+
+def _shapes(gmsh: ModuleType, dim: int) -> FloatArray:
+    """Smallest over largest determinant of the map of each cell; below 0 where it is folded."""
     tags = gmsh.model.mesh.getElementsByType(KINDS[dim])[0].tolist()
     low, high = (
         np.asarray(gmsh.model.mesh.getElementQualities(tags, name))
@@ -50,7 +51,7 @@ def _folded(gmsh: ModuleType, dim: int, least: float = _LEAST) -> IntArray:
     # Cells that run the other way round have negative determinants throughout.
     side = np.sign(low + high)
     smallest, largest = np.minimum(low * side, high * side), np.maximum(np.abs(low), np.abs(high))
-    return np.flatnonzero(smallest < least * largest)
+    return np.divide(smallest, largest, out=np.full(len(largest), np.inf), where=largest > 0.0)
 
 
 def _lost(gmsh: ModuleType, dim: int, folded: IntArray) -> BoolArray:
@@ -94,11 +95,12 @@ def relax_folded(gmsh: ModuleType, dim: int) -> None:
     from scipy.sparse import csr_matrix
     from scipy.sparse.linalg import spsolve
 
-    folded = _folded(gmsh, dim)
+    shapes = _shapes(gmsh, dim)
+    folded = np.flatnonzero(shapes < _LEAST)
     if not len(folded) or _lost(gmsh, dim, folded).all():
         return
     _, nodes, places = nodes_of(gmsh, dim)
-    poor = nodes[_folded(gmsh, dim, _POOR)]
+    poor = nodes[shapes < _POOR]
     patch = np.flatnonzero(np.isin(nodes, poor).any(axis=1))
     tags, at = np.unique(nodes[patch], return_inverse=True)
     at = at.reshape(len(patch), -1)

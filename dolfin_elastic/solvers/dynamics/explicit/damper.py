@@ -27,6 +27,11 @@ from dolfin_elastic.solvers.assembly.assembler import Assembler, compiled
 from dolfin_elastic.solvers.assembly.nodal_forces import Forces
 
 
+def sees_velocity(damper: Damper | None) -> bool:
+    """Whether forces depend on the velocity that dashpots see, beside those of dashpots."""
+    return damper is not None and damper.viscous
+
+
 class Damper:
     """Damping of a body in explicit motion. Collective to make.
 
@@ -60,8 +65,8 @@ class Damper:
         self._before: FloatArray = np.zeros(len(mass))
 
     @property
-    def sees_velocity(self) -> bool:
-        """Forces depend on the velocity that dashpots see."""
+    def viscous(self) -> bool:
+        """There is bulk viscosity."""
         return self._forces is not None
 
     def largest_rate(self) -> float:

@@ -16,11 +16,12 @@ from dolfin_elastic.core.parallel import largest
 from dolfin_elastic.core.signals import raise_if_agreed, stop_agreed, watched
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.problem.bulk_viscosity import BulkViscosity
+from dolfin_elastic.problem.context import show_velocity
 from dolfin_elastic.problem.problem import Problem, results_of
 from dolfin_elastic.problem.state import RestartState, SavedState, State, StateCopy, restoring
 from dolfin_elastic.solvers.assembly.assembler import Assembler, SupportForces
 from dolfin_elastic.solvers.assembly.energy_momentum import LumpedMass, lumped
-from dolfin_elastic.solvers.dynamics.explicit.damper import Damper
+from dolfin_elastic.solvers.dynamics.explicit.damper import Damper, sees_velocity
 from dolfin_elastic.solvers.dynamics.explicit.mass_scaling import scaled
 from dolfin_elastic.solvers.dynamics.explicit.monitor import StabilityMonitor
 from dolfin_elastic.solvers.dynamics.explicit.replay import Replay
@@ -145,9 +146,8 @@ class Explicit:
         self.size = StepSize(problem, a, self.mass, chosen=dt, safety=safety, damper=self._damper)
         self.work = ExternalWork(problem, a, self.mass, v)
         self._energies = MotionBook(problem, LumpedMass(problem, v, self.mass), self.work.energies)
-        if self._sees_velocity:  # bulk viscosity shortens the first step, too
-            problem.context.velocity.x.array[:] = v.x.array
-            problem.context.velocity.x.scatter_forward()
+        if sees_velocity(self._damper):  # bulk viscosity shortens the first step, too
+            show_velocity(problem.context, v.x.array[: len(self.mass)])
         self.size.begin(self.end)
         first = min(self.size.dt, self.end)
         self.work.damper = self._damper
@@ -272,10 +272,6 @@ class Explicit:
         return count > was
 
     @property
-    def _sees_velocity(self) -> bool:
-        return self._damper is not None and self._damper.sees_velocity
-
-    @property
     def _ended(self) -> bool:
         return self.scheme.t >= self.end * END
 
@@ -374,9 +370,8 @@ class Explicit:
     def _fields(self) -> dict[str, fem.Function]:
         fields = {"displacement": self.problem.u, "velocity": self.v, "rates": self.size.field}
         fields |= self.problem.terms.past
-        if (
-            self.problem.dashpots or self._sees_velocity
-        ):  # their velocity is that of half a step before
+        # Dashpots and bulk viscosity see the velocity of half a step before.
+        if self.problem.dashpots or sees_velocity(self._damper):
             fields["dashpots"] = self.problem.context.velocity
         return fields
 

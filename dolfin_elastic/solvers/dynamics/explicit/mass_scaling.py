@@ -104,7 +104,9 @@ def scaled(
     if dt is not None:
         rate = (2 * MARGIN / dt) ** 2
     else:
-        rate = _lowest(added, _median(problem, rates, worst), worst, most) * (1 + ABOVE)
+        least = _median(problem, rates, worst)
+        _tell_of_limit(added(least), most)
+        rate = _lowest(added, least, worst, most) * (1 + ABOVE)
     rate = float(f"{rate:.9e}")  # the same on any number of ranks
     factor = factors(rate)
     fraction, count = added(rate), int(total(comm, int(np.sum(factor > 1.0))))
@@ -128,8 +130,6 @@ def scaled(
             0.0 if row is None else row.value - 1,
             2 / np.sqrt(worst),
         )
-    if dt is None:
-        _tell_of_limit(added(_median(problem, rates, worst)), most)
     numbers = {"added_mass_fraction": fraction}
     if count and row is not None:
         numbers |= {f"added_mass_{x}": v for x, v in zip("xyz", row.place, strict=False)}

@@ -25,11 +25,12 @@ from dolfinx import fem
 from dolfin_elastic.core import timing
 from dolfin_elastic.core.errors import FormulaError, InputError
 from dolfin_elastic.core.types import AnyArray, FloatArray
+from dolfin_elastic.problem.context import show_velocity
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.problem.weak_form import weak_form_without_memory
 from dolfin_elastic.solvers.assembly.assembler import Assembler
 from dolfin_elastic.solvers.assembly.nodal_forces import Forces
-from dolfin_elastic.solvers.dynamics.explicit.damper import Damper
+from dolfin_elastic.solvers.dynamics.explicit.damper import Damper, sees_velocity
 from dolfin_elastic.solvers.dynamics.work import ExternalWork, supports_move
 
 
@@ -313,10 +314,8 @@ class ExplicitScheme(ABC):
 
     def update_dashpots(self) -> None:
         """Gives dashpots the velocity, which may be that of half a step before."""
-        if self.problem.dashpots or (self._damper is not None and self._damper.sees_velocity):
-            seen = self.problem.context.velocity.x
-            seen.array[: len(self.velocity)] = self.velocity
-            seen.scatter_forward()
+        if self.problem.dashpots or sees_velocity(self._damper):
+            show_velocity(self.problem.context, self.velocity)
 
     def assemble_forces(self, *, accept: bool = False) -> None:
         """Forces out of balance at the present displacement and time.

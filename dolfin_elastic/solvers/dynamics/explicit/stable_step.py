@@ -20,7 +20,7 @@ from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.problem.term_list import forms_of
 from dolfin_elastic.solvers.assembly.assembler import Assembler
 from dolfin_elastic.solvers.diagnostics.negative_curvature import start_vector
-from dolfin_elastic.solvers.dynamics.explicit.damper import Damper
+from dolfin_elastic.solvers.dynamics.explicit.damper import Damper, sees_velocity
 from dolfin_elastic.solvers.dynamics.explicit.frequency_bound import (
     FrequencyBound,
     extremes,
@@ -163,10 +163,6 @@ class StepSize:
         below = drag + np.sqrt(drag**2 + 4 * square)
         return float(4 / below) if below > 0 else np.inf
 
-    @property
-    def _sees_velocity(self) -> bool:
-        return self._damper is not None and self._damper.sees_velocity
-
     def _find_viscosity(self) -> None:
         """Finds the largest rate c/m of bulk viscosity, to the digits that ranks share."""
         if self._damper is not None:
@@ -258,7 +254,7 @@ class StepSize:
             StabilityError: The user's step is above the stable one now.
         """
         self._find_viscosity()
-        if self._problem.linear and not self._sees_velocity:
+        if self._problem.linear and not sees_velocity(self._damper):
             self.next_check = step + CHECKS[1]  # it cannot have changed
             return
         before, due = self.stable, step >= self._bound_due
@@ -276,7 +272,7 @@ class StepSize:
             most = CHECKS_IN_CONTACT if self._contact else CHECKS[1]
             self._interval = int(np.clip(factor * self._interval, CHECKS[0], most))
             self._bound_due = step + self._interval
-        looks = step + CHECKS_OF_VISCOSITY if self._sees_velocity else self._bound_due
+        looks = step + CHECKS_OF_VISCOSITY if sees_velocity(self._damper) else self._bound_due
         self.next_check = min(self._bound_due, looks)
 
     def _set_step(self) -> None:

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from dolfinx import fem
 from helpers.matrices import dense
+from helpers.motion import oscillator
 from mpi4py import MPI
 
 from dolfin_elastic import (
@@ -20,16 +21,12 @@ from dolfin_elastic import (
     LinearElastic,
     NeoHookean,
     Problem,
-    Selector,
     Support,
     Textbook,
     box_body,
-    name_parts,
     rectangle_body,
 )
 from dolfin_elastic.core.errors import InputError, StabilityError
-from dolfin_elastic.mesh import Body
-from dolfin_elastic.mesh.distribute import make_mesh
 from dolfin_elastic.solvers.dynamics.explicit.explicit import Explicit
 from dolfin_elastic.solvers.dynamics.explicit.scheme import SymplecticEuler
 
@@ -38,29 +35,8 @@ BOTH = pytest.mark.parametrize("scheme", [SCHEME, CENTRAL])
 E, NU, RHO = 1e7, 0.3, 1000.0
 STIFF = E * (1 - NU) / ((1 + NU) * (1 - 2 * NU))
 OMEGA = np.sqrt(3 * STIFF / RHO)
-"""Of the oscillator below: stiffness (lmbda + 2 mu)/2, lumped mass rho/6."""
+"""Of the oscillator: stiffness (lmbda + 2 mu)/2, lumped mass rho/6."""
 PERIOD = 2 * np.pi / OMEGA
-
-
-def oscillator() -> Problem:
-    """A triangle whose only free component is u_x at (1, 0)."""
-    comm = MPI.COMM_WORLD
-    root = comm.rank == 0
-    cells = np.array([[0, 1, 2]] if root else np.empty((0, 3)), dtype=np.int64)
-    corners = np.array([[0.0, 0], [1, 0], [0, 1]]) if root else np.empty((0, 2))
-    body = name_parts(
-        Body(make_mesh(comm, cells, corners, 1)),
-        surfaces={"left": Selector(plane="x", at=0), "bottom": Selector(plane="y", at=0)},
-    )
-    return Problem(
-        body,
-        LinearElastic(E=E, nu=NU, density=RHO),
-        supports=[
-            Support(on="bottom", displacement=[FREE, 0]),
-            Support(on="left", displacement=[0, 0]),
-        ],
-        degree=1,
-    )
 
 
 def swing(dt: float, end: float, scheme: str = SCHEME) -> np.ndarray:

@@ -8,23 +8,20 @@ import numpy as np
 import pytest
 from dolfinx import fem
 from helpers.checkpoints import through_json
-from mpi4py import MPI
+from helpers.motion import oscillator
 
 from dolfin_elastic import (
     Dynamics,
     LinearElastic,
     NeoHookean,
     Problem,
-    Selector,
     Support,
     Traction,
     box_body,
-    name_parts,
 )
 from dolfin_elastic.core.errors import InputError, StabilityError
 from dolfin_elastic.core.parallel import largest, total
 from dolfin_elastic.mesh import Body
-from dolfin_elastic.mesh.distribute import make_mesh
 from dolfin_elastic.solvers.dynamics.explicit.explicit import Explicit, ExplicitOptions
 from dolfin_elastic.solvers.dynamics.explicit.mass_scaling import _advice
 from dolfin_elastic.solvers.dynamics.explicit.scheme import CentralDifferences
@@ -34,25 +31,8 @@ E, NU, RHO = 1e7, 0.3, 1000.0
 STIFF = E * (1 - NU) / ((1 + NU) * (1 - 2 * NU))
 SPEED = np.sqrt(STIFF / RHO)
 OMEGA = np.sqrt(3) * SPEED
-"""Of the oscillator below: stiffness STIFF/2, lumped mass rho/6."""
+"""Of the oscillator: stiffness STIFF/2, lumped mass rho/6."""
 START = 1e-3
-
-
-def oscillator() -> Problem:
-    """A triangle whose only free component is u_x at (1, 0)."""
-    comm = MPI.COMM_WORLD
-    root = comm.rank == 0
-    cells = np.array([[0, 1, 2]] if root else np.empty((0, 3)), dtype=np.int64)
-    corners = np.array([[0.0, 0], [1, 0], [0, 1]]) if root else np.empty((0, 2))
-    body = name_parts(
-        Body(make_mesh(comm, cells, corners, 1)),
-        surfaces={"left": Selector(plane="x", at=0), "bottom": Selector(plane="y", at=0)},
-    )
-    supports = [
-        Support(on="bottom", displacement=[FREE, 0]),
-        Support(on="left", displacement=[0, 0]),
-    ]
-    return Problem(body, LinearElastic(E=E, nu=NU, density=RHO), supports=supports, degree=1)
 
 
 def end_of(problem: Problem, steps: int, end: float, **damping: Any) -> float:
