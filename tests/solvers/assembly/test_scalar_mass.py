@@ -111,9 +111,7 @@ def reference(problem: Problem, moving: DynamicResidual) -> Iterator[PETSc.Mat]:
     form = problem.weak_form.tangent + factor * problem.weak_form.inertia(displacement, problem.v)
     if (work := damping.work()) is not None:
         trial = ufl.TrialFunction(problem.W)
-        S = ufl.inv(problem.weak_form.F(problem.w)) * damping._stress(
-            problem.regions[0], damping.rate
-        )
+        S = ufl.inv(problem.weak_form.F(problem.w)) * damping._stress(problem.regions[0])
         stiffening = ufl.inner(damping._gradient(trial) * S, damping._test)
         form += shift * ufl.derivative(work, damping.rate, trial)
         form += stiffening * damping._volume(problem.regions[0])
