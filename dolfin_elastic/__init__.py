@@ -111,6 +111,7 @@ if TYPE_CHECKING:
     from dolfin_elastic.solvers.eigen.buckling import Buckling as Buckling
     from dolfin_elastic.solvers.eigen.modal import Modal as Modal
     from dolfin_elastic.solvers.statics.statics import Statics as Statics
+    from dolfin_elastic.study.sweep.sweep import sweep as sweep
 
 _PLACES = {
     "case.case": ("Case", "read_case"),
@@ -181,6 +182,7 @@ _PLACES = {
     "solvers.assembly.equations": ("Equations",),
     "solvers.statics.statics": ("Statics",),
     "solvers.dynamics.dynamics": ("Dynamics",),
+    "study.sweep.sweep": ("sweep",),
     "solvers.eigen.modal": ("Modal",),
     "solvers.eigen.buckling": ("Buckling",),
     "notebook.report_view": ("show_report",),

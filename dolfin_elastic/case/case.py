@@ -24,6 +24,7 @@ from mpi4py import MPI
 from pydantic import PrivateAttr
 
 from dolfin_elastic.case.analysis import ANALYSES, AnalysisTables
+from dolfin_elastic.case.changed import changed_tables, value_at
 from dolfin_elastic.case.check.memory import check_elements
 from dolfin_elastic.case.curve_files import (
     has_curve_files,
@@ -127,6 +128,27 @@ class Case(AnalysisTables):
     def to_toml(self) -> str:
         """The case as the text of a case file that reads back to an equal case."""
         return toml_text(self.to_dict())
+
+    def changed(self, values: Mapping[str, object]) -> Case:
+        """The case with other values at dotted keys, see `changed_tables`.
+
+            case.changed({"materials.rubber.E": "2 MPa", "mesh.size": "4 mm"})
+
+        Raises:
+            InputError: There is no such key, or the case is wrong with that value.
+        """
+        with locate_errors(self.file):
+            tables = changed_tables(self.written, values, frozenset(Case.model_fields))
+        return Case.from_dict(tables, self.folder, file=self.file, trust=self.trusted)
+
+    def value_at(self, key: str) -> object:
+        """What the case has at a dotted key, as it was written.
+
+        Raises:
+            InputError: It has nothing there.
+        """
+        with locate_errors(self.file):
+            return value_at(self.written, key)
 
     # --- to the parts of a run ---
 

@@ -176,6 +176,7 @@ class InTurn:
         petsc: PETSc options that win over the case's own.
         comm: The ranks that work together.
         before: The run of the first one that is continued.
+        body: The mesh, where it has been read for another run of the same mesh.
 
     Attributes:
         several: There is more than one.
@@ -189,6 +190,7 @@ class InTurn:
         petsc: dict[str, PetscValue],
         comm: MPI.Comm,
         before: Unfinished | None = None,
+        body: Body | None = None,
     ) -> None:
         if before is None:
             _check_start(cases[-1], folder)
@@ -196,6 +198,8 @@ class InTurn:
         self._folder, self._comm = folder, comm
         self._lease = FolderLease(comm, folder)
         shared = _Shared(keep=any(one.preloaded for one in cases))
+        if body is not None:
+            shared.body = cases[0].curved, body
         self.runs = [
             CaseRun(one, folder / one.analysis if self.several else folder, petsc, comm, shared)
             for one in cases
@@ -297,7 +301,11 @@ class _Shared:
 
 @dataclass
 class CaseRun:
-    """A run of one analysis; see `InTurn` for the attributes."""
+    """A run of one analysis; see `InTurn` for the attributes.
+
+    Attributes:
+        problem: Of the states that it yields; None before.
+    """
 
     case: Case
     folder: Path
@@ -306,6 +314,7 @@ class CaseRun:
     shared: _Shared = field(default_factory=_Shared)
     before: Unfinished | None = None
     asked: Callable[[], bool] | None = None
+    problem: Problem | None = None
 
     @property
     def around(self) -> Path | None:
@@ -351,7 +360,7 @@ class CaseRun:
                 before.check_mesh(description)
         told = self.shared.told
         notes = log_notes(self.case, body, told)
-        problem = self.case.make_problem(body)
+        problem = self.problem = self.case.make_problem(body)
         more, sums = check_problem(self.case, problem, told)
         model = model_record(self.case, body, sums, [*notes, *more], self.petsc)
         solver = self.case.make_solver(problem, petsc=self.petsc)

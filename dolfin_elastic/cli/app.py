@@ -29,6 +29,7 @@ from dolfin_elastic.cli.look.command import look
 from dolfin_elastic.cli.materials import material, materials
 from dolfin_elastic.cli.pipes import guard_output, lost_output
 from dolfin_elastic.cli.run import Trust, collect_garbage, log_to_screen, restart, run
+from dolfin_elastic.cli.sweep import sweep
 from dolfin_elastic.cli.tools.convert import convert
 from dolfin_elastic.cli.tools.files import new, schema
 from dolfin_elastic.cli.tools.plot import plot
@@ -108,6 +109,8 @@ HELP = """Deformable elastic bodies on DOLFINx and PETSc, on any number of cores
   dolfin-elastic convert beam_results b.glb what it has left, for Blender, USD, FreeCAD
   dolfin-elastic converge beam.toml --until "displacement of tip" 1%
                                             refine the mesh until it is known so well
+  dolfin-elastic sweep beam.toml --set mesh.size="4 mm,2 mm"
+                                            the same with other values, in one table
   dolfin-elastic convert wing.msh wing.xdmf a large mesh, for many cores to read in parallel
   dolfin-elastic import part.inp            a case file of a deck of another program
   dolfin-elastic verify                     known results, computed on this installation
@@ -196,6 +199,7 @@ def check(
 app.command(cls=Verb)(look)
 app.command(cls=Verb)(run)
 app.command(cls=Verb)(converge)
+app.command(cls=Verb)(sweep)
 app.command(cls=Verb)(restart)
 app.command(cls=Verb)(plot)
 app.command(cls=Verb, context_settings={"allow_extra_args": True, "ignore_unknown_options": True})(

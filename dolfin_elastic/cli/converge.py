@@ -76,7 +76,7 @@ def converge(
     from dolfin_elastic.results.writers.summary import mark_stopped
     from dolfin_elastic.study.converge.converge import Goal, default_folder
     from dolfin_elastic.study.converge.converge import converge as converge_case
-    from dolfin_elastic.study.converge.wanted import Wanted, tolerance
+    from dolfin_elastic.study.wanted import Wanted, tolerance
 
     goal = Goal(Wanted.read(until[0]), tolerance(until[1]), refinements, int(unknowns))
     comm = begin(quiet)

@@ -185,6 +185,15 @@ def is_quantity(text: str) -> bool:
     return parts is not None and (not parts[1] or _known(parts[1]))
 
 
+def number_and_unit(value: object) -> tuple[float, str] | None:
+    """A number, or a text with a number and a unit, as it is written; None of anything else."""
+    if isinstance(value, str):
+        return _split(value)
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return None
+    return float(value), ""
+
+
 def _split(text: str) -> tuple[float, str] | None:
     """Number and unit of a text; None if it is not of this form."""
     match = _NUMBER.fullmatch(text)

@@ -94,6 +94,8 @@ POINTS = {
     "solvers/dynamics/implicit/test_schemes.py",
     "strangers/test_strangers.py",
     "study/converge/test_extrapolation.py",
+    "study/sweep/test_sweep_command.py",
+    "study/sweep/test_sweep_settings.py",
     "test_docs.py",
     "test_install.py",
     "test_layout.py",
@@ -149,6 +151,7 @@ meshes, supports, loads, pressures and probes, have tests of their own; on one r
 the linear ones, which run on two so that reference cases as such do."""
 SHARED = {
     "study/converge/test_converge.py",
+    "study/sweep/test_sweep.py",
     "case/test_node_loads.py",
     "case/test_restart.py",
     "case/test_several.py",

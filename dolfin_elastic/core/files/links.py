@@ -11,7 +11,7 @@ from dolfin_elastic.core.files.regular import irregular
 
 _STEMS = (
     *("results", "history", "summary", "picture", "modes", "mode", "failed_state"),
-    *("converge", "report", "plot", "checkpoints", "lock"),
+    *("converge", "sweep", "row", "report", "plot", "checkpoints", "lock"),
     *("statics", "modal", "buckling", "dynamics"),  # folders of several analyses
 )
 """What names of results begin with, but for those that the case gives its pictures."""

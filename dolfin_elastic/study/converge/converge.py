@@ -42,7 +42,7 @@ from dolfin_elastic.solvers.statics.load_stepping import InitialGuess
 from dolfin_elastic.solvers.statics.statics import Statics
 from dolfin_elastic.study.converge.extrapolation import extrapolate, grows
 from dolfin_elastic.study.converge.report import Level, Progress, Verdict, write_report
-from dolfin_elastic.study.converge.wanted import Wanted, WantedNumber
+from dolfin_elastic.study.wanted import Wanted, WantedNumber
 
 log = logging.getLogger("dolfin_elastic")
 

@@ -13,7 +13,7 @@ import numpy as np
 from dolfin_elastic.core.files.regular import fresh
 from dolfin_elastic.core.startup.elsewhere import plain_matplotlib
 from dolfin_elastic.results.files import make_folder, replace_text, writing
-from dolfin_elastic.study.converge.wanted import Wanted
+from dolfin_elastic.study.wanted import Wanted
 
 Verdict = Literal["running", "reached", "singular", "audit", "refinements", "unknowns", "stopped"]
 

@@ -20,7 +20,7 @@ from dolfin_elastic.core.parallel import on_root
 from dolfin_elastic.results.derived.reductions import REDUCTIONS
 from dolfin_elastic.study.converge.converge import Goal, converge
 from dolfin_elastic.study.converge.report import Progress
-from dolfin_elastic.study.converge.wanted import Wanted, tolerance
+from dolfin_elastic.study.wanted import Wanted, tolerance
 
 WORLD = MPI.COMM_WORLD
 HOLE = """\

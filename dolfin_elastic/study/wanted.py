@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from dolfinx import fem
@@ -39,30 +39,37 @@ class Wanted:
         name: A field, a column of history.csv, "displacement" or "reaction".
         part: Surface, region, edge, point, probe or support; empty: the whole body.
         reduction: Of a field or its component, see `REDUCTIONS`; empty: the extreme of a field.
+        option: By which it was given, for messages.
     """
 
     name: str
     part: str = ""
     reduction: str = ""
+    option: str = field(default="--until", compare=False)
 
     @classmethod
-    def read(cls, text: str) -> Wanted:
+    def read(cls, text: str, option: str = "--until") -> Wanted:
         """From the command line.
+
+        Args:
+            option: That it belongs to.
 
         Raises:
             InputError: It is no name, and no name with a part.
         """
         match = _TEXT.fullmatch(text)
         if match is None:
-            raise InputError(f"a run has no result '{text}'", expected=f"for example {_EXAMPLES}")
-        wanted = cls(match[2], match[3] or "", match[1] or "")
-        if (field := f"{match[1]}_{match[2]}") in FIELDS:  # "safety factor", "von mises"
-            wanted = cls(field, match[3] or "")
+            raise InputError(
+                f"a run has no result '{text}'", where=option, expected=f"for example {_EXAMPLES}"
+            )
+        wanted = cls(match[2], match[3] or "", match[1] or "", option)
+        if (name := f"{match[1]}_{match[2]}") in FIELDS:  # "safety factor", "von mises"
+            wanted = cls(name, match[3] or "", option=option)
         if wanted.reduction:
             try:
                 assert wanted.quantity
             except InputError as error:
-                raise error.at("--until") from None
+                raise error.at(option) from None
         return wanted
 
     def __str__(self) -> str:
@@ -123,25 +130,26 @@ class Wanted:
         parts = [name for named in body.parts.values() for name in named]
         if self.name.startswith("reaction"):
             if self.part not in supports:
-                raise _unknown("no support", self.part, supports)
+                raise self.unknown("no support", self.part, supports)
         elif self.part in probes:
             return
         elif not body.kinds(self.part):
-            raise _unknown("no part and no probe", self.part, [*parts, *probes])
+            raise self.unknown("no part and no probe", self.part, [*parts, *probes])
         elif not self.is_field:
             raise InputError(
                 f"there is no field '{self.name}'",
-                where="--until",
+                where=self.option,
                 expected=FIELDS.nearest(self.name),
             )
         elif self.quantity.reduction not in EXTREMES:
             sized = [*body.parts["surface"], *body.parts["region"]]
             if self.part not in sized:
-                raise _unknown("no surface or region", self.part, sized)
+                raise self.unknown("no surface or region", self.part, sized)
 
-
-def _unknown(what: str, name: str, known: Iterable[str]) -> InputError:
-    return InputError(f"there is {what} '{name}'", where="--until", expected=nearest(name, known))
+    def unknown(self, what: str, name: str, known: Iterable[str]) -> InputError:
+        """An error that names the nearest of what is known."""
+        known_one = nearest(name, known)
+        return InputError(f"there is {what} '{name}'", where=self.option, expected=known_one)
 
 
 class WantedNumber:
@@ -172,7 +180,7 @@ class WantedNumber:
         if not result.place:
             raise InputError(
                 f"'{self._wanted}' has no value in this run",
-                where="--until",
+                where=self._wanted.option,
                 expected="a result that is finite somewhere on that part",
             )
         top = result.value if extreme.quantity.reduction == "max" else -result.value
@@ -206,7 +214,9 @@ class WantedNumber:
             if numbers:
                 return float(np.linalg.norm(numbers))
         name = f"{q.part}_{q.name}" if q.part else q.name
-        raise _unknown("no result", name, [n for n, v in columns.items() if not isinstance(v, str)])
+        raise q.unknown(
+            "no result", name, [n for n, v in columns.items() if not isinstance(v, str)]
+        )
 
     def _touching(self, nodes: IndexArray) -> IndexArray:
         """Owned cells with one of these owned nodes, also those of other ranks. Collective."""

@@ -1,0 +1,92 @@
+"""The numbers of a run that a sweep tells, from the files of its results."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from dolfin_elastic.results.finished.findings import extremes_of, modes_of
+from dolfin_elastic.results.finished.run import FinishedRun, column_unit
+from dolfin_elastic.results.verdict import ELSEWHERE, doubt, reliable
+from dolfin_elastic.study.wanted import Wanted
+
+_UNITS = {"von_mises": "Pa", "displacement": "m", "safety_factor": "", "seconds": "s"}
+_FIRST = ("safety_factor", "von_mises", "displacement")
+_MODES = 3
+"""Modes that are told unless others are asked for."""
+
+
+@dataclass(frozen=True)
+class Known:
+    """What runs in some folders tell.
+
+    Attributes:
+        numbers: Name to value, SI units: extremes, modes, probes, last row of history.csv.
+        errors: Name to estimated relative error of the mesh, nan where it is not known.
+        usual: Names that are told where none is asked for: the values by which a part is judged,
+            the first modes, and the probes and other results that the case asks for.
+        failure: Why the audit of one fails; empty where none does.
+    """
+
+    numbers: dict[str, float] = field(default_factory=dict)
+    errors: dict[str, float] = field(default_factory=dict)
+    usual: list[str] = field(default_factory=list)
+    failure: str = ""
+
+
+def known_of(folders: Sequence[Path]) -> Known:
+    """What the analyses of a case tell, of one name the first. Not collective.
+
+    Raises:
+        InputError: One is no folder of results.
+    """
+    numbers, errors, usual, failure = dict[str, float](), dict[str, float](), list[str](), ""
+    for folder in folders:
+        run = FinishedRun(folder)
+        summary = run.summary
+        audit = summary.get("audit") or {}
+        failure = failure or ("; ".join(audit["reasons"]) if audit.get("verdict") == "fail" else "")
+        own = {name: _number(value) for name, value in (summary.get("numbers") or {}).items()}
+        extremes, trust = _extremes(run)
+        modes = {
+            f"{'load_factor' if mode.kind == 'buckling' else 'frequency'}_{mode.number}": value
+            for mode in modes_of(run)
+            if (value := None if mode.value is None else mode.value.value) is not None
+        }
+        last = {name: float(column[-1]) for name, column in run.history.items() if len(column)}
+        told = [*(name for name in _FIRST if name in extremes), *list(modes)[:_MODES], *own]
+        usual += [name for name in told if name not in numbers]
+        numbers = {**last, **own, **extremes, **modes, **numbers}
+        errors = {**trust, **errors}
+    return Known(numbers, errors, usual, failure)
+
+
+def _extremes(run: FinishedRun) -> tuple[dict[str, float], dict[str, float]]:
+    """Extremes by which a part is judged, and their errors; nan where the error is not known."""
+    summary, errors = run.summary, dict[str, float]()
+    peaks = summary.get("motion") or summary.get("error") or {}
+    numbers = {row.key: row.value.value for row in reversed(extremes_of(summary))}
+    for name in ELSEWHERE:
+        peak = reliable(peaks, name, summary.get("extremes") or {})
+        if peak is None or not isinstance(peak.get("value"), int | float):
+            continue
+        numbers[name] = float(peak["value"])
+        errors[name] = math.nan if doubt(peak) else _number(peak.get("error"))
+    return numbers, errors
+
+
+def _number(value: object) -> float:
+    return float(value) if isinstance(value, int | float) else math.nan
+
+
+def unit_of(name: str) -> str:
+    """SI unit of a result by its name; empty of a pure number."""
+    if name in _UNITS:
+        return _UNITS[name]
+    if name.startswith("frequency_"):
+        return "Hz"
+    if name.isidentifier():
+        return column_unit(name, timed=True)
+    return Wanted.read(name, "--tell").unit

@@ -1,0 +1,337 @@
+"""`sweep`: computes a case again and again with other values, and tells what comes of it."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Generator, Iterator, Mapping, Sequence
+from contextlib import closing
+from dataclasses import dataclass, replace
+from functools import partial
+from os import PathLike
+from pathlib import Path
+
+from mpi4py import MPI
+
+from dolfin_elastic.case.case import Case
+from dolfin_elastic.case.check.rest import read_body
+from dolfin_elastic.case.run import CaseRun, InTurn
+from dolfin_elastic.core.errors import InputError, SolveError, nearest
+from dolfin_elastic.core.lease import Lease
+from dolfin_elastic.core.parallel import on_root
+from dolfin_elastic.core.petsc_options import PetscOptions, PetscValue
+from dolfin_elastic.core.together import loop_together
+from dolfin_elastic.mesh.body import Body
+from dolfin_elastic.problem.problem import Problem
+from dolfin_elastic.problem.state import State
+from dolfin_elastic.study.sweep import rows as files
+from dolfin_elastic.study.sweep.numbers import Known, known_of
+from dolfin_elastic.study.sweep.rows import Row, Status
+from dolfin_elastic.study.sweep.settings import Design, Setting, design, read_setting
+from dolfin_elastic.study.sweep.table import Results, write_table
+from dolfin_elastic.study.wanted import Wanted, WantedNumber
+
+log = logging.getLogger("dolfin_elastic")
+_OF_MESH = ("mesh", "surfaces", "regions", "edges", "points", "contact")
+"""Tables of a case that decide on its mesh and the names on it."""
+_CLAIM = "row.lock"
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """The runs of a sweep: what is to be computed, and where.
+
+    Attributes:
+        case: Without the values that vary.
+        design: The values of each run.
+        told: Results that are asked for; none: those by which a part is judged.
+        folder: Of all that is written; each run has a folder in it.
+        cases: Of each run its case.
+        rows: Of each run its record, as it was before this sweep.
+        petsc: PETSc options that win over the case's own.
+        bodies: The mesh that was read last.
+        comm: The ranks that compute one run together.
+    """
+
+    case: Case
+    design: Design
+    told: tuple[str, ...]
+    folder: Path
+    cases: tuple[Case, ...]
+    rows: tuple[Row, ...]
+    petsc: dict[str, PetscValue]
+    bodies: _Bodies
+    comm: MPI.Comm
+
+    def results(self) -> Results:
+        """The table as it is now. Collective."""
+        rows = on_root(self.comm, lambda: [files.read(self.folder, row) for row in self.rows])
+        return Results(self.case.file, self.folder, self.design, tuple(rows))
+
+    def run(self, only: int | None = None) -> Generator[Row, None, None]:
+        """Computes the rows that have not ended and that nobody else computes.  Collective.
+
+        Rows of one mesh follow one another.
+
+        Args:
+            only: Number of the one row to compute; all by default.
+
+        Yields:
+            Each row that has ended, with those that had before.
+
+        Raises:
+            InputError: No run has a result that is asked for.
+            OutputError: Results cannot be written.
+            StoppedError: A signal has asked for the end; the rows before it are complete.
+        """
+        yield from loop_together(self.comm, self._run(only))
+
+    def _run(self, only: int | None) -> Generator[Row, None, None]:
+        keys = {row.number: self.bodies.key(case) for row, case in self._both()}
+        order = list(dict.fromkeys(keys.values()))
+        for row, case in sorted(self._both(), key=lambda both: order.index(keys[both[0].number])):
+            if only is not None and row.number != only:
+                continue
+            if (ended := self._claimed(row, case)) is not None:
+                yield ended
+
+    def _claimed(self, row: Row, case: Case) -> Row | None:
+        """A row that has ended; None where another process computes it. Collective."""
+        claim = Lease(self.folder / row.folder / _CLAIM)
+        if not on_root(self.comm, partial(claim.acquire, 0.0)):
+            return None
+        with closing(claim):
+            known = on_root(self.comm, partial(files.read, self.folder, row))
+            if not known.ended:
+                known = self._solve(known, case)
+                on_root(self.comm, partial(files.write, self.folder, known))
+        return known
+
+    def _both(self) -> Iterator[tuple[Row, Case]]:
+        return zip(self.rows, self.cases, strict=True)
+
+    def _solve(self, row: Row, case: Case) -> Row:
+        """One run. Collective."""
+        begin, told = time.monotonic(), _Told(self.told, case)
+        status: Status = "solved"
+        cause, known, numbers = "", Known(), dict[str, float]()
+        try:
+            body = self.bodies.body_of(case, told)
+            folder = self.folder / row.folder
+            runs = InTurn(case.analyses(), folder, dict(self.petsc), self.comm, body=body)
+            with closing(runs):
+                for one in runs:
+                    with runs.trying(one):
+                        told.follow(one)
+            if runs.errors:
+                raise next(iter(runs.errors.values()))
+            known = on_root(self.comm, lambda: known_of([one.folder for one in runs.runs]))
+        except (InputError, SolveError) as error:
+            if isinstance(error, InputError) and error.where in ("--tell", "tell"):
+                raise
+            status, cause = "failed", str(error)
+        else:
+            numbers = told.numbers(known)
+        if known.failure:
+            status, cause = "audit", f"audit FAIL: {known.failure}"
+        return replace(
+            row,
+            status=status,
+            cause=cause,
+            numbers=numbers,
+            errors={name: known.errors[name] for name in numbers if name in known.errors},
+            seconds=round(time.monotonic() - begin, 3),
+        )
+
+
+class _Told:
+    """The results of one run that are asked for.
+
+    Args:
+        names: As they were written; none: the usual ones.
+    """
+
+    def __init__(self, names: Sequence[str], case: Case) -> None:
+        self._names, self._case = names, case
+        self._measured = dict[str, float]()
+
+    def check(self, body: Body) -> None:
+        """Checks names of parts before anything is computed. Not collective."""
+        probes = [*self._case.output.probes]
+        supports = [support.label for support in self._case.support]
+        for name in self._names:
+            Wanted.read(name, "--tell").check(body, probes, supports)
+
+    def follow(self, run: CaseRun) -> None:
+        """Runs an analysis to its end, and measures fields in its last state. Collective."""
+        with closing(run.states()) as results:
+            for result in results:
+                if isinstance(result, State) and result.done >= 1.0:
+                    self._measure(result, run.problem)
+
+    def _measure(self, state: State, problem: Problem | None) -> None:
+        assert problem is not None
+        for name in self._names:
+            wanted = Wanted.read(name, "--tell")
+            if wanted.part or wanted.reduction:
+                number = WantedNumber(wanted, problem)(state)[0].value
+                self._measured.setdefault(name, number)
+
+    def numbers(self, known: Known) -> dict[str, float]:
+        """What is told, of all that is known.
+
+        Raises:
+            InputError: There is no such result.
+        """
+        every = {**known.numbers, **self._measured}
+        if not self._names:
+            return {name: every[name] for name in known.usual}
+        result = {}
+        for text in self._names:
+            name = text if text in every else _EQUAL.get(text, text.replace(" ", "_"))
+            if name not in every:
+                raise InputError(
+                    f"there is no result '{text}'", where="--tell", expected=nearest(name, every)
+                )
+            result[text if text in self._measured else name] = every[name]
+        return result
+
+
+_EQUAL = {"energy": "strain_energy"}
+
+
+class _Bodies:
+    """The mesh of the last case, for the next one that has the same."""
+
+    def __init__(self, comm: MPI.Comm) -> None:
+        self._comm, self._last = comm, dict[str, Body]()
+
+    def key(self, case: Case) -> str:
+        """Equal of cases with one mesh."""
+        tables = case.to_dict()
+        names = tables if case.fields else _OF_MESH
+        return repr([case.curved, *((name, tables.get(name)) for name in names)])
+
+    def body_of(self, case: Case, told: _Told) -> Body:
+        """The mesh of a case. Collective."""
+        if (key := self.key(case)) not in self._last:
+            self._last.clear()
+            self._last[key] = read_body(case, self._comm)
+            told.check(self._last[key])
+        return self._last[key]
+
+
+def planned(
+    case: Case,
+    settings: Sequence[Setting],
+    *,
+    output: str | PathLike[str] | None = None,
+    tell: Sequence[str] = (),
+    together: bool = False,
+    samples: int | None = None,
+    sobol: int | None = None,
+    seed: int = 0,
+    petsc: PetscOptions | None = None,
+    comm: MPI.Comm = MPI.COMM_WORLD,
+) -> Sweep:
+    """A sweep whose every case is right; makes the folders of its runs.  Collective.
+
+    Args:
+        case: From `read_case`, or made in Python.
+        settings: What varies.
+        output: Folder of all results; by default that of `run` with "_sweep" at its end.
+        tell: Results, as `converge --until` takes them, columns of history.csv, "frequency_1", ...;
+            by default extremes, first modes and probes.
+        together: First values together, second values together, and so on; else each with each.
+        samples: Of what scatters.
+        sobol: N of Sobol's indices.
+        seed: Of the samples.
+        petsc: PETSc options that win over the case's own.
+        comm: The ranks that compute one run together.
+
+    Raises:
+        InputError: A key, a value or a result is wrong; nothing has been written.
+        OutputError: The folder cannot be written.
+    """
+    names = tuple(dict.fromkeys(tell))
+    for name in names:
+        Wanted.read(name, "--tell")
+    means = [_with_mean(case, one) for one in settings]
+    plan = design(means, together=together, samples=samples, sobol=sobol, seed=seed)
+    cases = tuple(case.changed(values) for values in plan.rows)
+    folder = Path(output) if output is not None else default_folder(case)
+    options, bodies = dict(petsc or {}), _Bodies(comm)
+    if not on_root(comm, folder.exists):  # what is wrong with all of them is said of the first
+        cases[0].make_problem(bodies.body_of(cases[0], _Told(names, cases[0])))
+
+    def rows() -> list[Row]:
+        digests = [files.digest_of(one, names, options) for one in cases]
+        return files.plan(folder, list(zip(plan.rows, digests, strict=True)))
+
+    return Sweep(
+        case, plan, names, folder, cases, tuple(on_root(comm, rows)), options, bodies, comm
+    )
+
+
+def sweep(
+    case: Case,
+    values: Mapping[str, object],
+    *,
+    output: str | PathLike[str] | None = None,
+    tell: Sequence[str] = (),
+    together: bool = False,
+    samples: int | None = None,
+    sobol: int | None = None,
+    seed: int = 0,
+    petsc: PetscOptions | None = None,
+    comm: MPI.Comm = MPI.COMM_WORLD,
+) -> Results:
+    """Computes a case with other values, and writes the table of all runs.  Collective.
+
+        table = sweep(case, {"materials.steel.E": ["200 GPa", "210 GPa"], "mesh.size": "2 mm,1 mm"})
+        table.frame()                       # pandas, where it is there
+
+    Args:
+        case: From `read_case`, or made in Python.
+        values: Dotted keys to lists, to texts with commas, or to distributions, see `settings`.
+        output: See `planned`, as for all others.
+
+    Raises:
+        InputError: A key, a value or a result is wrong; nothing has been written.
+        OutputError: Results cannot be written.
+        SolveError: No run has a solution; the table has the causes.
+        StoppedError: A signal has asked for the end; the rows before it are complete.
+    """
+    sweeping = planned(
+        case,
+        [read_setting(key, value) for key, value in values.items()],
+        output=output,
+        tell=tell,
+        together=together,
+        samples=samples,
+        sobol=sobol,
+        seed=seed,
+        petsc=petsc,
+        comm=comm,
+    )
+    try:
+        for _ in sweeping.run():
+            pass
+    finally:
+        results = sweeping.results()
+        on_root(comm, partial(write_table, results, plot=True))
+    results.check()
+    return results
+
+
+def _with_mean(case: Case, setting: Setting) -> Setting:
+    """A setting that scatters around the case's own value where it has no other mean."""
+    if setting.spread is None:
+        return setting
+    return replace(setting, spread=setting.spread.around(case.value_at(setting.key), setting.key))
+
+
+def default_folder(case: Case) -> Path:
+    """Folder of the results of `sweep`."""
+    folder = case.whole.results_folder()
+    return folder.with_name(f"{folder.name.removesuffix('_results')}_sweep")

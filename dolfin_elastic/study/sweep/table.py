@@ -1,0 +1,277 @@
+"""The files of a sweep: `sweep.csv`, `sweep.json` and `sweep.png`."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import math
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from html import escape
+from os import PathLike
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from dolfin_elastic.case.toml import key_parts
+from dolfin_elastic.core.errors import SolveError
+from dolfin_elastic.core.files.regular import fresh
+from dolfin_elastic.core.si_text import percent, quantity, scaled_unit
+from dolfin_elastic.core.startup.elsewhere import plain_matplotlib
+from dolfin_elastic.core.types import FloatArray
+from dolfin_elastic.core.units import number_and_unit
+from dolfin_elastic.results.files import replace_text, writing
+from dolfin_elastic.study.sweep.numbers import unit_of
+from dolfin_elastic.study.sweep.rows import Row
+from dolfin_elastic.study.sweep.settings import Design, short_names, worded
+from dolfin_elastic.study.sweep.statistics import Statistics, statistics
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+TABLE, SUMMARY, PLOT = FILES = ("sweep.csv", "sweep.json", "sweep.png")
+_SOURCES = {"materials": "the material", "load": "the loads", "support": "the supports"}
+_ANY = "what scatters"
+_MOST_PANELS, _MOST_LINES = 6, 8
+_INK = ("#1f5f8b", "#b0562f", "#228833", "#7a3e9d", "#c79a00", "#444444", "#0f9d9d", "#d0527a")
+
+
+@dataclass(frozen=True)
+class Results:
+    """The rows of a sweep, all or those so far.
+
+    Attributes:
+        case: Name of its case file.
+        folder: Of the sweep.
+        design: What varies.
+        rows: In the order of the design.
+    """
+
+    case: str
+    folder: Path
+    design: Design
+    rows: tuple[Row, ...]
+
+    @property
+    def names(self) -> list[str]:
+        """Results that one row has at least."""
+        return list(dict.fromkeys(name for row in self.rows for name in row.numbers))
+
+    @property
+    def statistics(self) -> dict[str, Statistics]:
+        """Of samples, see `statistics`."""
+        return statistics(self.design, self.rows)
+
+    @property
+    def failed(self) -> list[Row]:
+        """Rows without a solution."""
+        return [row for row in self.rows if row.status == "failed"]
+
+    def check(self) -> None:
+        """At least one run has a solution.
+
+        Raises:
+            SolveError: None has one; with the first cause.
+        """
+        if len(self.failed) == len(self.rows):
+            raise SolveError(f"no run of the sweep has a solution; the first: {self.rows[0].cause}")
+
+    def columns(self) -> dict[str, list[Any]]:
+        """The table by columns, SI units; nan where a number is not known."""
+        keys, names = [one.key for one in self.design.settings], self.names
+        known = [name for name in names if any(name in row.errors for row in self.rows)]
+        return {
+            "run": [row.number for row in self.rows],
+            **{key: [row.values.get(key) for row in self.rows] for key in keys},
+            "status": [row.status for row in self.rows],
+            **{name: [row.numbers.get(name, math.nan) for row in self.rows] for name in names},
+            **{
+                f"{name}_error": [row.errors.get(name, math.nan) for row in self.rows]
+                for name in known
+            },
+            "seconds": [row.seconds for row in self.rows],
+            "folder": [row.folder for row in self.rows],
+            "cause": [row.cause for row in self.rows],
+        }
+
+    def frame(self) -> Any:
+        """The table as a pandas DataFrame, where pandas is there; else `columns`."""
+        try:
+            from pandas import DataFrame  # type: ignore[import-untyped]
+        except ImportError:
+            return self.columns()
+        return DataFrame(self.columns())
+
+    def _repr_html_(self) -> str:
+        columns = self.columns()
+        head = "".join(f"<th>{escape(name)}</th>" for name in columns)
+        rows = (
+            "".join(f"<td>{escape(str(_cell(value)))}</td>" for value in row)
+            for row in zip(*columns.values(), strict=True)
+        )
+        body = "".join(f"<tr>{row}</tr>" for row in rows)
+        return f"<table><tr>{head}</tr>{body}</table>"
+
+    def plot(self, file: str | PathLike[str]) -> None:
+        """Draws each result over what varies most. Not collective.
+
+        Raises:
+            OutputError: The picture cannot be written.
+        """
+        draw(self, Path(file))
+
+    def lines(self) -> list[str]:
+        """What samples say of each result, for people."""
+        short = short_names([one.key for one in self.design.settings])
+        kinds, result = {key_parts(key)[0] for key in short}, list[str]()
+        source = _SOURCES.get(kinds.pop(), _ANY) if len(kinds) == 1 else _ANY
+        for name, of in self.statistics.items():
+            unit = unit_of(name)
+            mesh = f"± {quantity(of.mesh, unit)}" if math.isfinite(of.mesh) else "not known"
+            low, high = (quantity(of.percentiles[p], unit) for p in (5, 95))
+            result.append(
+                f"{name}: {quantity(of.mean, unit)}, ± {quantity(2 * of.deviation, unit)} from "
+                f"{source} (2 standard deviations; 90 % from {low} to {high}), "
+                f"from the mesh {mesh}"
+            )
+            for key, index in of.sobol.items():
+                result.append(
+                    f"  {short[key]}: {percent(index.first)} of the variance alone, "
+                    f"{percent(index.total)} ± {percent(index.error)} with the others (Sobol)"
+                )
+        return result
+
+
+def write_table(results: Results, *, plot: bool) -> None:
+    """Writes all files anew. Not collective.
+
+    Args:
+        plot: Without, the plot stays as it is, for drawing takes time.
+
+    Raises:
+        OutputError: They cannot be written.
+    """
+    folder = results.folder
+    replace_text(folder / TABLE, _csv(results))
+    text = json.dumps(_summary(results), indent=2, allow_nan=False, default=str)
+    replace_text(folder / SUMMARY, text + "\n")
+    if plot and any(row.numbers for row in results.rows):
+        draw(results, folder / PLOT)
+
+
+def _csv(results: Results) -> str:
+    """One row a run; nothing where a number is not known."""
+    columns, text = results.columns(), io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(columns)
+    for row in zip(*columns.values(), strict=True):
+        writer.writerow([_cell(value) for value in row])
+    return text.getvalue()
+
+
+def _cell(value: object) -> object:
+    if isinstance(value, bool) or not isinstance(value, float):
+        return " ".join(value.split()) if isinstance(value, str) else value
+    return f"{value:.12g}" if math.isfinite(value) else ""
+
+
+def _summary(results: Results) -> dict[str, object]:
+    columns = results.columns()
+    rows = [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
+    of = {name: asdict(one) for name, one in results.statistics.items()}
+    return {
+        "case": results.case,
+        "settings": [one.key for one in results.design.settings],
+        "units": {name: unit_of(name) for name in results.names},
+        "rows": [_finite(row) for row in rows],
+        "statistics": {name: _finite(table) for name, table in of.items()},
+    }
+
+
+def _finite(table: dict[str, Any]) -> dict[str, Any]:
+    """A table with None for what is no finite number."""
+    return {
+        k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in table.items()
+    }
+
+
+# --- the plot ---
+
+
+@plain_matplotlib()
+def draw(results: Results, path: Path) -> None:
+    """Each result over what varies most. Not collective.
+
+    Raises:
+        OutputError: It cannot be written.
+    """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    pairs = [(name, key) for name in results.names[:_MOST_PANELS] for key in _over(results)]
+    across = max(len(_over(results)), min(3, len(pairs)))
+    down = -(-len(pairs) // across)
+    figure = Figure(figsize=(4.4 * across + 0.6, 2.9 * down + 0.3), layout="constrained")
+    FigureCanvasAgg(figure)
+    panels = figure.subplots(down, across, squeeze=False).ravel()
+    for panel, pair in zip(panels, pairs, strict=False):
+        _panel(panel, results, *pair)
+    for panel in panels[len(pairs) :]:
+        panel.remove()
+    draft = path.with_name(f".{path.stem}.part{path.suffix}")
+    with writing(path):
+        figure.savefig(fresh(draft), dpi=110)
+        draft.replace(path)
+
+
+def _over(results: Results) -> list[str]:
+    """Settings over which results are drawn: of samples each, else that with most values."""
+    settings = results.design.settings
+    if results.design.scatter:
+        return [one.key for one in results.design.scatter][:4]
+    return [max(settings, key=lambda one: len(one.values)).key]
+
+
+def _panel(panel: Axes, results: Results, name: str, key: str) -> None:
+    short = short_names([one.key for one in results.design.settings])
+    rows = [row for row in results.rows if math.isfinite(row.numbers.get(name, math.nan))]
+    x, unit, words = _abscissae([row.values[key] for row in rows])
+    largest = max((abs(row.numbers[name]) for row in rows), default=0.0)
+    factor, own = scaled_unit(largest, unit_of(name))
+    scattered = bool(results.design.scatter)
+    groups: dict[str, list[int]] = {}
+    for k, row in enumerate(rows):
+        others = [f"{short[k]} = {worded(v)}" for k, v in row.values.items() if k != key]
+        groups.setdefault("" if scattered else ", ".join(others), []).append(k)
+    for n, (label, members) in enumerate(groups.items()):
+        order = sorted(members, key=lambda k: float(x[k]))
+        y = np.array([rows[k].numbers[name] for k in order]) / factor
+        line, ink = "none" if scattered else "-", _INK[n % len(_INK)]
+        bars = np.array([rows[k].errors.get(name, math.nan) for k in order]) * np.abs(y)
+        bars = np.nan_to_num(bars)
+        shown = label if label and len(groups) <= _MOST_LINES else None
+        panel.errorbar(x[order], y, bars, fmt="o", ms=4, capsize=2, label=shown, ls=line, c=ink)
+    if words:
+        panel.set_xticks(range(len(words)), [_plain(word) for word in words])
+    panel.set_xlabel(_plain(f"{short[key]} [{unit}]" if unit else short[key]))
+    panel.set_ylabel(_plain(f"{name} [{own}]" if own else name))
+    panel.grid(color="#dde1e5")
+    if panel.get_legend_handles_labels()[0]:
+        panel.legend(fontsize=7)
+
+
+def _abscissae(values: Sequence[object]) -> tuple[FloatArray, str, list[str]]:
+    """Numbers, their unit, and words where they are none or have several units."""
+    read = [number_and_unit(value) for value in values]
+    units = {one[1] for one in read if one is not None}
+    if values and None not in read and len(units) == 1:
+        return np.array([one[0] for one in read if one is not None]), units.pop(), []
+    words = list(dict.fromkeys(str(value) for value in values))
+    return np.array([float(words.index(str(value))) for value in values]), "", words
+
+
+def _plain(text: str) -> str:
+    """A text in which matplotlib finds no formula."""
+    return text.replace("$", r"\$")
