@@ -50,11 +50,12 @@ from dolfin_elastic.solvers.assembly.two_stage.form import tangent_of_external_t
 from dolfin_elastic.solvers.diagnostics.rigid_body import check_no_rigid_motion
 from dolfin_elastic.solvers.diagnostics.stability import FactorisedTangent
 from dolfin_elastic.solvers.eigen.critical_load import CriticalLoad
+from dolfin_elastic.solvers.eigen.lobpcg import Cycle, NotConvergedError
 from dolfin_elastic.solvers.eigen.mode_shapes import at_rest, refuse, shape
 from dolfin_elastic.solvers.eigen.preload import PreloadedAnalysis
 from dolfin_elastic.solvers.eigen.settings import BucklingSettings
-from dolfin_elastic.solvers.eigen.slepc import COUNTED_LIMIT, Pair, destroy, prefixed
-from dolfin_elastic.solvers.linear.choice import Choice, LinearSettings, factorising
+from dolfin_elastic.solvers.eigen.slepc import Pair, choose_eigen, destroy
+from dolfin_elastic.solvers.linear.choice import LinearSettings
 from dolfin_elastic.solvers.statics.settings import StaticsSettings
 
 log = logging.getLogger("dolfin_elastic")
@@ -85,7 +86,6 @@ class Buckling(PreloadedAnalysis):
         problem: What is loaded, without curves over time.
         settings: See `BucklingSettings`; keyword arguments are its fields.
         statics: How the loaded state is found, with a `preload`.
-        linear: How linear systems are solved: by factors.
         petsc: PETSc and SLEPc options, which win over everything.
     """
 
@@ -109,17 +109,7 @@ class Buckling(PreloadedAnalysis):
         refuse(problem, "buckling", loaded=True)
         _check_laws(problem, self.settings.preload)
         _check_proportional(problem)
-        if self.linear.method == "iterative":
-            raise InputError(
-                "buckling needs a factorisation, and an iterative solver makes none",
-                where="solver.method",
-                expected='"auto" or "direct"',
-            )
-        size = f"{problem.num_dofs} unknowns"
-        if problem.num_dofs > COUNTED_LIMIT[problem.body.dim]:
-            size += ", which will take much memory"
-        detail = "Krylov-Schur iterations (SLEPc; MUMPS, LDL^T)"
-        self.choice = Choice(True, prefixed(factorising(True)), f"{size}, direct solver", detail)
+        self.choice = choose_eigen(problem, self.linear, counted=False)
 
     def _steps(self) -> Generator[State | Mode, None, None]:
         """See `steps`."""
@@ -169,7 +159,8 @@ class Buckling(PreloadedAnalysis):
         self.choice.report()
         base = fem.Function(self.problem.V, name="displacement")
         base.x.array[:] = self.problem.u.x.array
-        perturbation, buckled = Perturbation(self.problem, share), list[_Buckled]()
+        buckled = list[_Buckled]()
+        perturbation = Perturbation(self.problem, share, direct=self.choice.direct)
         try:
             with failing_together(self.problem.body.comm):
                 for sign in signs:
@@ -218,7 +209,7 @@ class Buckling(PreloadedAnalysis):
                 choice=self.choice,
                 users=self.of_modes(loaded=self.settings.preload > 0.0),
                 tolerance=self.settings.tolerance,
-            ).lowest(wanted)
+            ).lowest(wanted, perturbation.cycle)
         finally:
             destroy(change)
         if len(pairs) < wanted:
@@ -250,15 +241,20 @@ def _warn_of_strains(pairs: Sequence[Pair], strain_rate: float, share: float) ->
 class Perturbation:
     """A state, and what the loads change in it when they grow. Collective.
 
+    Args:
+        direct: It is factorised; else a multigrid is made, and factors only where that fails.
+
     Attributes:
+        cycle: Of the stiffness; None: of factors only.
         stiffness: K, ones on the diagonal where displacements are prescribed.
         rate: K_sigma + K_load, zero there.
         along: Rate of all unknowns with the load factor, ghosts included.
         strain_rate: Rate of the strain with the load factor, root of its mean square.
     """
 
-    def __init__(self, problem: Problem, share: float) -> None:
-        self._problem, self._share = problem, share
+    def __init__(self, problem: Problem, share: float, *, direct: bool = True) -> None:
+        self._problem, self._share, self._direct = problem, share, direct
+        self.cycle: Cycle | None = None
         self._assembler = Assembler(problem)
         self._x = self._assembler.create_vector()
         try:
@@ -269,14 +265,16 @@ class Perturbation:
     def _make(self) -> None:
         problem, assembler = self._problem, self._assembler
         base = problem.w.x.array.copy()
-        along = self._velocity(base)
+        rates = [self._residual(base, self._share + h) for h in (SHARE, -SHARE)]
+        self._assembled(assembler.tangent, base, self._share)
+        self.stiffness: PETSc.Mat = assembler.tangent.matrix.copy()
+        along = self._velocity(np.subtract(rates[1], rates[0]) / (2 * SHARE))
         top = largest(problem.body.comm, float(np.max(np.abs(along), initial=0.0)))
         if top == 0.0:
             raise InputError(
                 "no load deforms the body", where="load", expected="at least one that does"
             )
         self.along, self.strain_rate = along, self._strain_rate(along)
-        self.stiffness: PETSc.Mat = assembler.tangent.matrix.copy()
         self.rate = self._rate(base, along, STEP * cell_size(problem.body) / top)
         self._residual(base, self._share)
 
@@ -310,28 +308,47 @@ class Perturbation:
         tangent.assemble(self._x)
         return tangent.matrix
 
-    def _velocity(self, base: FloatArray) -> FloatArray:
-        """dw/ds = -K^-1 dR/ds, ghosts included; the tangent is left at the state."""
-        assembler, problem = self._assembler, self._problem
-        rates = [self._residual(base, self._share + h) for h in (SHARE, -SHARE)]
-        self._assembled(assembler.tangent, base, self._share)
-        stability = FactorisedTangent(assembler)
-        if not stability.sound or stability.negative != 0:
-            stability.destroy()
-            raise ConvergenceError(
-                f"the body is not stable under {self._share:g} times the loads",
-                advice="a smaller buckling.preload; supports that hold every part",
-            )
+    def _velocity(self, forces: FloatArray) -> FloatArray:
+        """K^-1 f, ghosts included."""
+        assembler = self._assembler
         f, x = assembler.create_vector(), assembler.create_vector()
-        f.array_w[:] = (rates[1] - rates[0]) / (2 * SHARE)
-        with stage("solve"):
-            stability.solve(f, x)
-        along = fem.Function(problem.W)
-        along.x.array[: assembler.size] = x.array_r
+        f.array_w[:] = forces
+        try:
+            with stage("solve"):
+                if self._direct or not self._solved_by_cycles(f, x):
+                    self._solve_by_factors(f, x)
+            along = fem.Function(self._problem.W)
+            along.x.array[: assembler.size] = x.array_r
+        finally:
+            destroy(f, x)
         along.x.scatter_forward()
-        for thing in (f, x, stability):
-            thing.destroy()
         return np.array(along.x.array)
+
+    def _solved_by_cycles(self, f: PETSc.Vec, x: PETSc.Vec) -> bool:
+        """Whether conjugate gradients converge, and the stiffness is shown to be positive."""
+        self.cycle = Cycle(self._problem, self.stiffness)
+        try:
+            if self.cycle.is_positive(self.stiffness) and self.cycle.solve(f, x):
+                self._assembler.extend(x.array_w)
+                return True
+        except NotConvergedError:
+            pass
+        log.info("the stiffness is not positive, or hardly: factorising instead")
+        self.cycle.destroy()
+        self.cycle = None
+        return False
+
+    def _solve_by_factors(self, f: PETSc.Vec, x: PETSc.Vec) -> None:
+        stability = FactorisedTangent(self._assembler)
+        try:
+            if not stability.sound or stability.negative != 0:
+                raise ConvergenceError(
+                    f"the body is not stable under {self._share:g} times the loads",
+                    advice="a smaller buckling.preload; supports that hold every part",
+                )
+            stability.solve(f, x)
+        finally:
+            stability.destroy()
 
     def _strain_rate(self, along: FloatArray) -> float:
         """Root of the mean square of dE/ds = sym(F^T dF/ds), E = (F^T F - I)/2."""
@@ -356,9 +373,8 @@ class Perturbation:
         return result
 
     def destroy(self) -> None:
-        """Frees both matrices. Collective."""
-        self.stiffness.destroy()
-        self.rate.destroy()
+        """Frees both matrices and the multigrid. Collective."""
+        destroy(self.cycle, self.stiffness, self.rate)
 
 
 def _check_laws(problem: Problem, preload: float) -> None:

@@ -8,9 +8,10 @@ each vector, and ranks exchange products of vectors only.
 
 An eigenvalue lies within |R| of each Ritz value, R = A x - value B x in the norm of B^-1 with x of
 unit norm in B, and the Ritz value is above its own by |R|^2 over the distance to the others at most
-(B. Parlett, The Symmetric Eigenvalue Problem (1998), sections 4.5, 11.7 and 15.9).  The norm is
-that of the diagonal of B, which is equivalent whatever the mesh (A. J. Wathen, IMA J. Numer. Anal.
-7 (1987) 449).
+(B. Parlett, The Symmetric Eigenvalue Problem (1998), sections 4.5, 11.7 and 15.9).  Where B is a
+mass the norm is that of its diagonal, which is equivalent whatever the mesh (A. J. Wathen, IMA J.
+Numer. Anal. 7 (1987) 449); where it is a stiffness, that of the cycle, which is a few times smaller
+than that of its inverse at worst.
 """
 
 from __future__ import annotations
@@ -37,6 +38,9 @@ ROUGH = 1e-3
 STEPS = 400
 """Steps after which it has failed: 60 are many, but at nu = 0.499 quadratic elements take 270."""
 
+EXACT = 1e-12
+"""Error of a solution by conjugate gradients, over that of zero, in the norm of energy."""
+
 CHUNK = 4096
 """Entries of all vectors that are combined at once."""
 
@@ -45,55 +49,110 @@ class NotConvergedError(Exception):
     """Residuals are too large after all steps, or no numbers."""
 
 
-class Preconditioned:
-    """A x = value B x with a cycle of multigrid as its preconditioner. Collective; `destroy` it.
+class Cycle:
+    """A cycle of multigrid of a symmetric matrix, kept as it is. Collective; `destroy` it.
 
     Args:
         problem: Whose displacement is the only unknown.
-        B: Zero where displacements are constrained; not negative.
-        shift: Below all values that are looked for; that of `shifted`.
-        shifted: A - shift B, owned here from now on; A itself if it is that.
+        matrix: Positive, or nearly so; it is not freed before the cycle is.
+    """
+
+    def __init__(self, problem: Problem, matrix: PETSc.Mat) -> None:
+        self._constraints = problem.constraints
+        self.pc = PETSc.PC().create(problem.body.comm)
+        self.pc.setOperators(matrix)
+        self._multigrid = Multigrid(problem, self.pc)
+
+    def improve(self, vectors: FloatArray) -> None:
+        """Overwrites residuals, one below the other, by about the inverse times them. Collective.
+
+        By a symmetric positive matrix.
+        """
+        self._multigrid.apply_to_several(self.pc, vectors)
+        for vector in vectors:
+            vector[:] = self.free(vector)
+
+    def free(self, vector: FloatArray) -> FloatArray:
+        """A vector without its constrained part."""
+        free = self._constraints.free_part(vector)
+        free[self._constraints.tied_dofs] = 0.0
+        return free
+
+    def solve(self, b: PETSc.Vec, x: PETSc.Vec) -> bool:
+        """Whether conjugate gradients find x, to round-off nearly. Collective."""
+        ksp = PETSc.KSP().create(self.pc.comm)
+        ksp.setType("cg")
+        ksp.setPC(self.pc)
+        ksp.setOperators(*self.pc.getOperators())
+        ksp.setNormType(PETSc.KSP.NormType.NATURAL)
+        ksp.setTolerances(rtol=EXACT, atol=1e-300, max_it=STEPS)
+        ksp.solve(b, x)
+        converged = ksp.getConvergedReason() > 0
+        ksp.destroy()
+        return bool(converged)
+
+    def is_positive(self, matrix: PETSc.Mat) -> bool:
+        """Whether the lowest eigenvalue of a matrix, over its diagonal, is positive. Collective.
+
+        Raises:
+            NotConvergedError: It is too small to be told.
+        """
+        entries = matrix.getDiagonal()
+        entries.array_w[:] = self.free(np.abs(entries.array_r))
+        diagonal = PETSc.Mat().createDiagonal(entries)
+        lowest = Lobpcg(Preconditioned(matrix, diagonal, self), 4, known=())
+        lowest.solve(1, 1.0)
+        for thing in (diagonal, entries):
+            thing.destroy()
+        return bool(lowest.values[0] > 0.0)
+
+    def destroy(self) -> None:
+        """Frees the multigrid. Collective."""
+        for thing in (self._multigrid, self.pc):
+            thing.destroy()
+
+
+class Preconditioned:
+    """A x = value B x with a cycle of multigrid as its preconditioner.
+
+    Args:
+        B: Not negative, and zero where displacements are constrained; or the cycle's own matrix.
+        shift: Below all values that are looked for.
+        cycle: Of A - shift B, or of B where A is not positive.
+        sign: -1 stands for -A in place of A.
+        of_B: The cycle is of B, by which residuals are measured then.
     """
 
     def __init__(
-        self, problem: Problem, A: PETSc.Mat, B: PETSc.Mat, shift: float, shifted: PETSc.Mat
+        self,
+        A: PETSc.Mat,
+        B: PETSc.Mat,
+        cycle: Cycle,
+        *,
+        shift: float = 0.0,
+        sign: float = 1.0,
+        of_B: bool = False,
     ) -> None:
-        self.A, self.B, self.shift, self.comm = A, B, shift, problem.body.comm
-        self._constraints, self._shifted = problem.constraints, shifted
-        self._pc = PETSc.PC().create(self.comm)
-        self._pc.setOperators(shifted)
-        self._multigrid = Multigrid(problem, self._pc)
+        self.A, self.B, self.shift, self.sign = A, B, shift, sign
+        self.cycle, self.of_B, self.comm = cycle, of_B, A.comm.tompi4py()
         diagonal = B.getDiagonal()
         entries = diagonal.array_r
         self.weights = np.divide(1.0, entries, out=np.zeros(len(entries)), where=entries > 0.0)
         diagonal.destroy()
 
-    def improve(self, vectors: FloatArray) -> None:
-        """Overwrites residuals, one below the other, by about (A - shift B)^-1 of them. Collective.
-
-        By a symmetric positive matrix.
-        """
-        self._multigrid.apply_to_several(self._pc, vectors)
-        for vector in vectors:
-            vector[:] = self._free(vector)
-
     def start(self, number: int) -> FloatArray:
         """One of many initial vectors, which are independent."""
         first, size = self.A.getOwnershipRange()[0], self.A.getSize()[0]
-        return self._free(random_vector(number * size + first, len(self.weights)))
+        return self.cycle.free(random_vector(number * size + first, len(self.weights)))
 
-    def _free(self, vector: FloatArray) -> FloatArray:
-        """Without its constrained part."""
-        free = self._constraints.free_part(vector)
-        free[self._constraints.tied_dofs] = 0.0
-        return free
+    def times_A(self, vectors: FloatArray, images: FloatArray) -> None:
+        """A, with its sign, times vectors, one below the other. Collective."""
+        _multiply(self.A, vectors, images)
+        images *= self.sign
 
-    def destroy(self) -> None:
-        """Frees the multigrid and what it is of. Collective."""
-        for thing in (self._multigrid, self._pc):
-            thing.destroy()
-        if self._shifted != self.A:
-            self._shifted.destroy()
+    def times_B(self, vectors: FloatArray, images: FloatArray) -> None:
+        """B times vectors. Collective."""
+        _multiply(self.B, vectors, images)
 
 
 class Lobpcg:
@@ -108,6 +167,7 @@ class Lobpcg:
         values: Ritz values, ascending.
         residuals: |R| of each.
         converged: Which of them have.
+        steps: So many were taken.
     """
 
     def __init__(
@@ -116,11 +176,11 @@ class Lobpcg:
         self._of, self._comm, n = pencil, pencil.comm, len(pencil.weights)
         self._known = np.array(known).reshape(len(known), n)
         self._images = np.empty_like(self._known)
-        _multiply(pencil.B, self._known, self._images)
+        pencil.times_B(self._known, self._images)
         self._inverse = np.linalg.pinv(self._products(self._images, self._known))
         self._S = np.empty((3 * size, n))  # X, P and W, one below the other
         self._AX, self._BX = (np.empty((size, n)) for _ in range(2))  # or those of W
-        self._PAP = np.empty((0, 0))
+        self._PAP, self.steps = np.empty((0, 0)), 0
         self.values: FloatArray = np.zeros(size)
         self.residuals: FloatArray = np.full(size, np.inf)
         self.converged: BoolArray = np.ones(size, dtype=bool)
@@ -144,8 +204,8 @@ class Lobpcg:
             NotConvergedError: They do not converge.
             StoppedError: A signal has asked for the end of the run.
         """
-        least = float(np.sqrt(tolerance)) / 3
-        for _ in range(STEPS):
+        least = float(np.sqrt(tolerance)) / (10 if self._of.of_B else 3)
+        for self.steps in range(STEPS):
             raise_if_agreed(self._comm)
             GA, GB = self._products_of_vectors()
             self._take_residuals(GA)
@@ -170,11 +230,11 @@ class Lobpcg:
         """Those of X and P in A and B; the images of X stay. Collective."""
         m, p = len(self.values), len(self._PAP)
         S, grams = self._S[: m + p], []
-        for matrix, images, last in (
-            (self._of.A, self._AX, self._PAP),
-            (self._of.B, self._BX, np.eye(p)),
+        for times, images, last in (
+            (self._of.times_A, self._AX, self._PAP),
+            (self._of.times_B, self._BX, np.eye(p)),
         ):
-            _multiply(matrix, S[:m], images[:m])
+            times(S[:m], images[:m])
             rows = self._products(images[:m], S)
             grams.append(np.block([[rows], [rows[:, m:].T, last]]))
         return grams[0], grams[1]
@@ -186,21 +246,39 @@ class Lobpcg:
         for k in range(m):
             R[k] -= self.values[k] * self._BX[k]
         R -= self._products(R, self._known) @ self._inverse @ self._images
-        squares = np.array([np.dot(r * r, self._of.weights) for r in R])
+        if self._of.of_B:
+            W = self._corrections(m)
+            self._of.cycle.improve(W)
+            squares = np.array([np.dot(r, w) for r, w in zip(R, W, strict=True)])
+        else:
+            squares = np.array([np.dot(r * r, self._of.weights) for r in R])
         self.residuals = np.sqrt(total(self._comm, squares))
+
+    def _corrections(self, count: int) -> FloatArray:
+        """Room for those of all vectors, filled with residuals."""
+        first = count + len(self._PAP)
+        W = self._S[first : first + count]
+        W[:] = self._AX[:count]
+        return W
 
     def _with_residuals(self, GA: FloatArray, GB: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Makes W of the residuals, and adds its products. Collective."""
         m, s, active = len(self.values), len(GA), ~self.converged
         a = int(np.count_nonzero(active))
         S, W = self._S[: s + a], self._S[s : s + a]
-        W[:] = self._AX[:m][active]
-        self._of.improve(W)
+        if self._of.of_B:
+            W[:] = self._S[s : s + m][active]
+        else:
+            W[:] = self._AX[:m][active]
+            self._of.cycle.improve(W)
         self._remove_known(W)
         W -= self._products(W, self._BX[:m]) @ S[:m]
         grams = []
-        for matrix, room, known in ((self._of.A, self._AX, GA), (self._of.B, self._BX, GB)):
-            _multiply(matrix, W, room[:a])
+        for times, room, known in (
+            (self._of.times_A, self._AX, GA),
+            (self._of.times_B, self._BX, GB),
+        ):
+            times(W, room[:a])
             rows = self._products(room[:a], S)
             grams.append(np.block([[known, rows[:, :s].T], [rows]]))
         return grams[0], grams[1]

@@ -33,7 +33,12 @@ from dolfin_elastic.core.startup.slepc import SLEPc
 from dolfin_elastic.core.timing import stage
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.problem.problem import Problem
-from dolfin_elastic.solvers.eigen.lobpcg import Lobpcg, NotConvergedError, Preconditioned
+from dolfin_elastic.solvers.eigen.lobpcg import (
+    Cycle,
+    Lobpcg,
+    NotConvergedError,
+    Preconditioned,
+)
 from dolfin_elastic.solvers.linear.choice import (
     BLOCKS,
     Choice,
@@ -262,10 +267,59 @@ class Pencil(ABC):
     def near(self, search: Search) -> list[Pair]:
         """The eigenpairs next to a shift, in the order of their values. Collective.
 
+        Without factors and options of the user by LOBPCG, if it converges.
+
         Raises:
             ConvergenceError: The solver has failed.
             StoppedError: See `solve`.
         """
+        if not self.counted and not self.options.users:
+            try:
+                with stage("solve"), failing():
+                    return self._by_blocks(search)
+            except NotConvergedError:
+                log.info("LOBPCG has not converged: %s instead", self.leave_blocks())
+        return self._by_krylov(search)
+
+    @abstractmethod
+    def leave_blocks(self) -> str:
+        """Prepares for Krylov-Schur iterations, and names them. Collective."""
+
+    @abstractmethod
+    def preconditioned(self, shift: float) -> Preconditioned:
+        """What LOBPCG solves, whose multigrid is kept for the same shift. Collective."""
+
+    @abstractmethod
+    def ritz(self, value: float) -> float:
+        """The value that LOBPCG finds for one of these, or the other way round."""
+
+    def _by_blocks(self, search: Search) -> list[Pair]:
+        """See `near`: `BLOCK` after `BLOCK`."""
+        pairs = list[Pair]()
+        below = self.ritz(search.below)
+        while (wanted := min(search.count, search.room) - len(pairs)) > 0:
+            now = min(wanted, BLOCK)
+            more = search.spare if now == wanted else SPARE
+            size = now + min(more, search.room - len(pairs) - now)
+            known = [*search.known, *(pair.vector for pair in pairs)]
+            seed = search.seed + len(pairs)
+            block = Lobpcg(self.preconditioned(search.shift), size, known=known, seed=seed)
+            block.solve(now, self.tolerance, below)
+            log.debug("LOBPCG: %d vectors, %d steps", size, block.steps)
+            kept = block.values < below
+            if now < wanted or search.spare == 0:
+                kept &= block.converged
+            for value, v in zip(block.values[kept], block.vectors()[kept], strict=True):
+                pairs.append(Pair(self.ritz(float(value)), v))
+            if search.below < np.inf:
+                break
+        return sorted(pairs, key=lambda pair: pair.value)
+
+    def _by_krylov(self, search: Search) -> list[Pair]:
+        """See `near`."""
+        if not self.counted and search.below < np.inf:
+            # Whether there is one at all: more take longer, or fail.
+            search = replace(search, count=min(search.count, 1))
         shift, count = search.shift, min(search.count + search.spare, search.room)
         if count < 1:
             return []
@@ -322,50 +376,29 @@ class Spectrum(Pencil):
 
     _preconditioned: Preconditioned | None = None
 
-    def near(self, search: Search) -> list[Pair]:
-        """See `Pencil`; without factors and options of the user by LOBPCG, if it converges."""
-        if not self.counted and not self.options.users:
-            try:
-                with stage("solve"), failing():
-                    return self._by_blocks(search)
-            except NotConvergedError:
-                log.info("LOBPCG has not converged: Krylov-Schur with shift and invert instead")
-        if search.below < np.inf:  # whether there is one at all: more take longer, or fail
-            search = replace(search, count=min(search.count, 1))
-        return super().near(search)
+    def leave_blocks(self) -> str:
+        """See `Pencil`: as before, with conjugate gradients inside."""
+        return "Krylov-Schur with shift and invert"
 
-    def _by_blocks(self, search: Search) -> list[Pair]:
-        """See `near`: `BLOCK` after `BLOCK`."""
-        pairs = list[Pair]()
-        while (wanted := min(search.count, search.room) - len(pairs)) > 0:
-            now = min(wanted, BLOCK)
-            more = search.spare if now == wanted else SPARE
-            size = now + min(more, search.room - len(pairs) - now)
-            known = [*search.known, *(pair.vector for pair in pairs)]
-            seed = search.seed + len(pairs)
-            block = Lobpcg(self._with_cycle(search.shift), size, known=known, seed=seed)
-            block.solve(now, self.tolerance, search.below)
-            kept = block.values < search.below
-            if now < wanted or search.spare == 0:
-                kept &= block.converged
-            values, vectors = block.values[kept], block.vectors()[kept]
-            pairs += [Pair(float(value), v) for value, v in zip(values, vectors, strict=True)]
-            if search.below < np.inf:
-                break
-        return sorted(pairs, key=lambda pair: pair.value)
+    def ritz(self, value: float) -> float:
+        """See `Pencil`."""
+        return value
 
-    def _with_cycle(self, shift: float) -> Preconditioned:
-        """The pencil with a multigrid, which is kept for the same shift. Collective."""
+    def preconditioned(self, shift: float) -> Preconditioned:
+        """See `Pencil`."""
         if self._preconditioned is None or self._preconditioned.shift != shift:
             self.destroy()
             matrix = self.A if shift == 0.0 else self.shifted(shift)
-            self._preconditioned = Preconditioned(self.problem, self.A, self.B, shift, matrix)
+            cycle = Cycle(self.problem, matrix)
+            if shift != 0.0:
+                matrix.destroy()  # the cycle holds it
+            self._preconditioned = Preconditioned(self.A, self.B, cycle, shift=shift)
         return self._preconditioned
 
     def destroy(self) -> None:
         """Frees the multigrid, not A and B. Collective."""
         if self._preconditioned is not None:
-            self._preconditioned.destroy()
+            self._preconditioned.cycle.destroy()
         self._preconditioned = None
 
     def set_up(self, eps: SLEPc.EPS, shift: float, count: int, room: int) -> None:

@@ -39,7 +39,6 @@ from dolfin_elastic.problem.state import Mode, State
 from dolfin_elastic.solvers.eigen.buckling import Perturbation
 from dolfin_elastic.solvers.eigen.mode_shapes import at_rest
 from dolfin_elastic.solvers.eigen.settings import ModalSettings
-from dolfin_elastic.solvers.linear.choice import LinearSettings
 from dolfin_elastic.solvers.statics.settings import StaticsSettings
 
 EULER = np.pi**2 * 1e7 / 12 / (1 - 0.3**2) / 400
@@ -440,11 +439,6 @@ def test_refused(comm: MPI.Comm) -> None:
         "the loads make it only stiffer",
         ConvergenceError,
         loads=[Traction(on="right", value=[1, 0])],
-    )
-    refused(
-        comm,
-        "solver.method: buckling needs a factorisation",
-        settings={"linear": LinearSettings(method="iterative")},
     )
     refused(
         comm,

@@ -1,4 +1,4 @@
-"""Modes without factors: those of factors, none missed, whatever holds the body."""
+"""Modes and buckling without factors: those of factors, none missed, whatever holds the body."""
 
 from __future__ import annotations
 
@@ -14,6 +14,8 @@ from helpers.stacked import stacked
 from mpi4py import MPI
 
 from dolfin_elastic import (
+    BodyForce,
+    Buckling,
     LinearElastic,
     Modal,
     Problem,
@@ -22,12 +24,16 @@ from dolfin_elastic import (
     Support,
     Symmetry,
     Tie,
+    Traction,
     box_body,
 )
+from dolfin_elastic.core.errors import ConvergenceError
 from dolfin_elastic.mesh import name_parts
 from dolfin_elastic.problem.state import Mode
 from dolfin_elastic.solvers.eigen import lobpcg
+from dolfin_elastic.solvers.eigen.mode_shapes import at_rest
 from dolfin_elastic.solvers.linear.choice import LinearSettings
+from dolfin_elastic.solvers.statics.settings import StaticsSettings
 
 LAW = LinearElastic(E=1e7, nu=0.3, density=1000)
 
@@ -87,7 +93,7 @@ def test_modes_are_those_of_factors(name: str) -> None:
             assert ours == pytest.approx(theirs, abs=1e-4)
 
 
-def cubes(number: int) -> Problem:
+def cubes(number: int, **keys: Any) -> Problem:
     """Equal cubes beside each other: each frequency is that of all."""
     corners = [
         np.cumsum([np.zeros(3), *np.eye(3)[list(order)]], axis=0)
@@ -97,9 +103,9 @@ def cubes(number: int) -> Problem:
     cells = np.array([[int(c @ [4, 2, 1]) for c in cell] for cell in corners])
     cells = np.concatenate([cells + 8 * k for k in range(number)])
     points = np.concatenate([points + 3.0 * k * np.eye(3)[1] for k in range(number)])
-    foot = {"foot": Selector(plane="z", at="min")}
-    body = name_parts(made(MPI.COMM_WORLD, cells, points), surfaces=foot)
-    return Problem(body, LAW, supports=[Support(on="foot")], degree=1)
+    ends = {"foot": Selector(plane="z", at="min"), "head": Selector(plane="z", at="max")}
+    body = name_parts(made(MPI.COMM_WORLD, cells, points), surfaces=ends)
+    return Problem(body, LAW, supports=[Support(on="foot")], degree=1, **keys)
 
 
 @pytest.mark.parametrize("count", [1, 3, 8, 20])
@@ -166,3 +172,121 @@ def test_unstable() -> None:
     assert [mode.kind for mode in iterative] == [mode.kind for mode in direct]
     assert direct[0].kind == "unstable"
     assert eigenvalues(iterative) == pytest.approx(eigenvalues(direct), rel=1e-9)
+
+
+# --- buckling ---
+
+STEEP = StVenantKirchhoff(E=1e7, nu=0.3)
+
+
+def load_factors(problem: Problem, method: str, count: int, **keys: Any) -> np.ndarray:
+    buckling = Buckling(problem, count=count, linear=LinearSettings(method=method), **keys)
+    return np.array([mode.load_factor for mode in buckling.modes()])
+
+
+def pressed(degree: int, *, slender: bool = False) -> Problem:
+    """A square column, which buckles both ways nearly alike."""
+    length, along = (20, 40) if slender else (4, 16)
+    cells = [along // degree, 4 // degree, 4 // degree]
+    body = box_body(size=[length, 1, 1], cells=cells)
+    held, loads = [Support(on="left")], [Traction(on="right", value=[-1e3, 0, 0])]
+    return Problem(body, STEEP, degree=degree, supports=held, loads=loads)
+
+
+def edge_loaded() -> Problem:
+    """A thin cantilever across its height, which buckles under loads of either sign."""
+    body = box_body(size=[4, 1, 0.1], cells=[16, 4, 1])
+    held, loads = [Support(on="left")], [Traction(on="right", value=[0, 1e3, 0])]
+    return Problem(body, STEEP, degree=2, supports=held, loads=loads)
+
+
+def pressed_and_tied() -> Problem:
+    body = stacked(size=(0.2, 0.2, 1.0), lower=(2, 2, 4), upper=(3, 3, 4))
+    keys: dict[str, Any] = {"supports": [Support(on="bottom")], "degree": 1}
+    loads = [Traction(on="top", value=[0, 0, -1e3])]
+    return Problem(body, STEEP, ties=[Tie(on="above", to="below")], loads=loads, **keys)
+
+
+def pressed_on_rollers() -> Problem:
+    """Along planes that are no coordinate planes."""
+    body = box_body(size=[8, 1, 1], cells=[24, 3, 3])
+    along = turned(body, [1, 2, 3], 0.4) @ [-1e3, 0, 0]
+    held = [Support(on="left"), Symmetry(on="right")]
+    return Problem(body, STEEP, supports=held, loads=[BodyForce(value=along)], degree=1)
+
+
+PRESSED: dict[str, tuple[Callable[[], Problem], dict[str, Any]]] = {
+    "a column": (lambda: pressed(1), {"count": 6}),
+    "a column, quadratic": (lambda: pressed(2), {"count": 6}),
+    "a slender column": (lambda: pressed(1, slender=True), {"count": 4}),
+    "a slender column, quadratic": (lambda: pressed(2, slender=True), {"count": 4}),
+    "both signs": (edge_loaded, {"count": 3, "negative": True}),
+    "tied": (pressed_and_tied, {"count": 3}),
+    "on rollers": (pressed_on_rollers, {"count": 2}),
+    "about a loaded state": (
+        lambda: pressed(2, slender=True),
+        {"count": 2, "preload": 3.0, "statics": StaticsSettings(steps=1)},
+    ),
+    "ten of each": (
+        lambda: cubes(10, loads=[Traction(on="head", value=[0, 0, -1e3])]),
+        {"count": 3},
+    ),
+}
+
+
+@pytest.mark.parametrize("name", PRESSED)
+def test_load_factors_are_those_of_factors(name: str, caplog: pytest.LogCaptureFixture) -> None:
+    """To the tolerance, repeated ones included, and none is missed."""
+    make, keys = PRESSED[name]
+    problem = make()
+    direct = load_factors(problem, "direct", **keys)
+    with caplog.at_level(logging.INFO):
+        found = load_factors(problem, "iterative", **keys)
+    assert found == pytest.approx(direct, rel=1e-9)
+    assert "factorising" not in caplog.text
+
+
+def test_missed_load_factors_are_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A first search that begins without motion of one of three cubes never moves it."""
+    loads = [Traction(on="head", value=[0, 0, -1e3])]
+    start, problem = lobpcg.Preconditioned.start, cubes(3, loads=loads)
+
+    def partly(self: Any, number: int) -> np.ndarray:
+        vector = start(self, number)
+        if number < 1000:
+            size = len(vector)
+            vector[problem.unknowns.unknown_places[: size // 3, 1].repeat(3) > 5.0] = 0.0
+        return vector
+
+    direct = load_factors(problem, "direct", 3)
+    monkeypatch.setattr(lobpcg.Preconditioned, "start", partly)
+    assert load_factors(problem, "iterative", 3) == pytest.approx(direct, rel=1e-9)
+
+
+def test_load_factors_that_do_not_converge(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Factors find the same, and that is said."""
+    problem, solve = pressed(1), lobpcg.Lobpcg.solve
+    direct = load_factors(problem, "direct", 2)
+
+    def fails(self: Any, count: int, tolerance: float, *more: float) -> None:
+        if tolerance < 1.0:  # that of a question by yes or no
+            raise lobpcg.NotConvergedError
+        solve(self, count, tolerance, *more)
+
+    monkeypatch.setattr(lobpcg.Lobpcg, "solve", fails)
+    with caplog.at_level(logging.INFO):
+        assert load_factors(problem, "iterative", 2) == pytest.approx(direct, rel=1e-9)
+    if MPI.COMM_WORLD.rank == 0:
+        assert "LOBPCG has not converged: factorising instead" in caplog.text
+
+
+def test_unstable_without_factors() -> None:
+    """A straight column beyond its load is nothing to linearise about: seen without factors."""
+    problem = pressed(2, slender=True)
+    buckling = Buckling(problem, count=1, linear=LinearSettings(method="iterative"))
+    at_rest(problem)
+    problem.u.interpolate(lambda x: -0.006 * np.stack([x[0], 0 * x[0], 0 * x[0]]))
+    with pytest.raises(ConvergenceError, match="the body is not stable under 0 times the loads"):
+        next(buckling.about_this_state())
