@@ -43,6 +43,8 @@ def show_modes(
     screen.print(
         f"done: {counted(len(modes), 'mode')}, {seconds_text(seconds.get('total', 0.0), 3)} s"
     )
+    for solver in dict.fromkeys(mode.solver for mode in modes):
+        screen.print(f"solver: {solver}")
     screen.print(table)
     if len(modes) > SHOWN:
         screen.print(f"{len(modes) - SHOWN} more are in modes.csv")

@@ -240,6 +240,7 @@ class Mode:
         effective: Direction to effective modal mass (u . M r)^2/(u . M u) [kg, kg m^2].
         whole: Direction to mass and moment of inertia of the whole body, r . M r.
         name: Description of a rigid mode.
+        solver: What has found all modes of the same loads, and in how many iterations.
         done: Share of the modes that have been yielded, 0 to 1.
     """
 
@@ -254,6 +255,7 @@ class Mode:
     effective: Mapping[str, float] = field(default_factory=dict)
     whole: Mapping[str, float] = field(default_factory=dict)
     name: str = ""
+    solver: str = ""
     done: float = 0.0
 
     @property

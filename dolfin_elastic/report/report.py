@@ -276,7 +276,8 @@ def _timings(summary: Table) -> list[tuple[str, str]]:
 def _effort(summary: Table) -> str:
     """Steps and iterations in words."""
     if summary.get("modes") and not summary.get("steps"):
-        return f"{counted(len(summary['modes']), 'mode')} of an eigenvalue problem."
+        solver = f": {summary['eigensolver']}" if summary.get("eigensolver") else ""
+        return f"{counted(len(summary['modes']), 'mode')} of an eigenvalue problem{solver}."
     counts = {
         "step": summary.get("steps"),
         "Newton iteration": summary.get("newton_iterations"),

@@ -23,7 +23,7 @@ _GLYPHS = {
     "tails": [bool],
 }
 SUMMARY: dict[str, object] = {
-    **dict.fromkeys(("status", "reason", "started", "finished"), str),
+    **dict.fromkeys(("status", "reason", "started", "finished", "eigensolver"), str),
     **dict.fromkeys(("dofs", "cells", "ranks", "degree", "steps", "t", "load_factor"), float),
     "timed": bool,
     **dict.fromkeys(("newton_iterations", "krylov_iterations", "max_displacement"), float),

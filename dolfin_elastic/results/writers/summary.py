@@ -305,11 +305,13 @@ class SummaryWriter:
                 for mode, shape in zip(self._modes, self._shapes, strict=True)
             ],
         )
+        solver = "; ".join(dict.fromkeys(mode.solver for mode in self._modes))
         if not whole:
-            return {"modes": rows}
+            return {"modes": rows, "eigensolver": solver}
         sums = {name: sum(mode.effective[name] for mode in self._modes) for name in whole}
         shares = {name: sums[name] / whole[name] for name in whole if whole[name] > 0.0}
-        return {"modes": rows, "whole": dict(whole), "effective_shares": shares}
+        found = {"modes": rows, "eigensolver": solver}
+        return {**found, "whole": dict(whole), "effective_shares": shares}
 
     def _timings(self) -> dict[str, float]:
         measured = {"total": time.monotonic() - self._begin, **timing.totals()}

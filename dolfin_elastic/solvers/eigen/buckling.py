@@ -75,8 +75,8 @@ LARGE = 0.05
 SHARE = 1e-3
 """Difference of the load over which its forces are differentiated, which are linear in it."""
 
-_Buckled = tuple[Pair, fem.Function]
-"""Load factor and mode, and the displacement of the state about which they were found."""
+_Buckled = tuple[Pair, fem.Function, str]
+"""Load factor and mode, the displacement of the state about which they were found, and by what."""
 
 
 class Buckling(PreloadedAnalysis):
@@ -140,13 +140,14 @@ class Buckling(PreloadedAnalysis):
                 "the body does not buckle: the loads make it only stiffer",
                 advice="buckling.negative = true for the reversed loads",
             )
-        for k, (pair, base) in enumerate(modes, start=1):
+        for k, (pair, base, solver) in enumerate(modes, start=1):
             yield Mode(
                 number=k,
                 kind="buckling",
                 u=shape(self.problem, pair.vector)[0],
                 base=base,
                 eigenvalue=pair.value,
+                solver=solver,
                 done=k / len(modes),
             )
 
@@ -164,10 +165,10 @@ class Buckling(PreloadedAnalysis):
         try:
             with failing_together(self.problem.body.comm):
                 for sign in signs:
-                    pairs = self._pairs(perturbation, share, sign)
+                    pairs, solver = self._pairs(perturbation, share, sign)
                     _warn_of_strains(pairs, perturbation.strain_rate, share)
                     self._warn_of_yield(pairs, perturbation, share)
-                    buckled += [(pair, base) for pair in pairs]
+                    buckled += [(pair, base, solver) for pair in pairs]
         finally:
             perturbation.destroy()
         return buckled
@@ -196,20 +197,21 @@ class Buckling(PreloadedAnalysis):
                 100 * part,
             )
 
-    def _pairs(self, perturbation: Perturbation, share: float, sign: int) -> list[Pair]:
-        """Load factors and modes, beginning with the nearest."""
+    def _pairs(self, perturbation: Perturbation, share: float, sign: int) -> tuple[list[Pair], str]:
+        """Load factors and modes, beginning with the nearest, and what has found them."""
         wanted = self.settings.count
         change = perturbation.rate.copy()
         change.scale(-float(sign))
         try:
-            pairs = CriticalLoad(
+            critical = CriticalLoad(
                 self.problem,
                 perturbation.stiffness,
                 change,
                 choice=self.choice,
                 users=self.of_modes(loaded=self.settings.preload > 0.0),
                 tolerance=self.settings.tolerance,
-            ).lowest(wanted, perturbation.cycle)
+            )
+            pairs = critical.lowest(wanted, perturbation.cycle)
         finally:
             destroy(change)
         if len(pairs) < wanted:
@@ -219,7 +221,7 @@ class Buckling(PreloadedAnalysis):
                 "these" if sign > 0 else "the reversed",
                 len(pairs),
             )
-        return [Pair(share + sign * p.value, p.vector) for p in pairs]
+        return [Pair(share + sign * p.value, p.vector) for p in pairs], critical.solver
 
 
 def _warn_of_strains(pairs: Sequence[Pair], strain_rate: float, share: float) -> None:

@@ -323,6 +323,7 @@ class Vibration:
             effective=self._named(np.square(shared) / mass),
             whole=self._named(self.whole.whole),
             name=pair.name if isinstance(pair, RigidMode) else "",
+            solver=self.spectrum.solver,
             done=done,
         )
 

@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import logging
 from abc import ABC, abstractmethod
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
@@ -28,6 +29,7 @@ from dolfin_elastic.core.compat import petsc_errors
 from dolfin_elastic.core.errors import ConvergenceError
 from dolfin_elastic.core.parallel import largest
 from dolfin_elastic.core.petsc_options import PREFIX, PetscOptions, PetscValue
+from dolfin_elastic.core.si_text import counted
 from dolfin_elastic.core.signals import raise_if_agreed, stop_agreed
 from dolfin_elastic.core.startup.slepc import SLEPc
 from dolfin_elastic.core.timing import stage
@@ -67,6 +69,8 @@ BLOCK = 50
 
 ROOM = 15
 """Krylov vectors beyond the number of requested modes, at least."""
+
+_NAMES = {SLEPc.EPS.Type.KRYLOVSCHUR: "Krylov-Schur"}
 
 log = logging.getLogger("dolfin_elastic")
 
@@ -226,6 +230,7 @@ class Pencil(ABC):
 
     Attributes:
         counted: How many values lie below a number can be counted.
+        iterations: Name of each solver to how many of its iterations have found something.
     """
 
     def __init__(
@@ -242,6 +247,12 @@ class Pencil(ABC):
         self.options, self.counted = Options(choice.options, users), choice.direct
         self.options.update(petsc_multigrid(self.options.all, self.options.users, problem.degree))
         self.pressures = problem.unknowns.count("pressure")
+        self.iterations = Counter[str]()
+
+    @property
+    def solver(self) -> str:
+        """What has found values, and in how many iterations, for people."""
+        return ", ".join(f"{n}, {counted(k, 'iteration')}" for n, k in self.iterations.items())
 
     def below(self, number: float) -> int | None:
         """How many negative eigenvalues A - number B has; None: it is singular. Collective.
@@ -305,7 +316,7 @@ class Pencil(ABC):
             seed = search.seed + len(pairs)
             block = Lobpcg(self.preconditioned(search.shift), size, known=known, seed=seed)
             block.solve(now, self.tolerance, below)
-            log.debug("LOBPCG: %d vectors, %d steps", size, block.steps)
+            self.iterations["LOBPCG with multigrid"] += block.steps
             kept = block.values < below
             if now < wanted or search.spare == 0:
                 kept &= block.converged
@@ -338,6 +349,10 @@ class Pencil(ABC):
                 temporary = self.prepare(eps.getST(), shift)
                 solve(eps)
                 self.options.report_unused()
+            name = "factors" if self.counted else "multigrid"
+            self.iterations[f"{_NAMES.get(eps.getType(), eps.getType())} with {name}"] += (
+                eps.getIterationNumber()
+            )
             return self.chosen(eps, self._pairs(eps), shift, count)
         finally:
             destroy(eps, *spaces, *temporary)

@@ -69,6 +69,7 @@ def test_vibration(folder: Path, comm: MPI.Comm) -> None:
     assert rows[0]["kind"] == "elastic"
     found_summary = json.loads((folder / "summary.json").read_text())
     assert found_summary["status"] == "completed"
+    assert re.fullmatch(r"Krylov-Schur with factors, \d iterations?", found_summary["eigensolver"])
     assert found_summary["modes"][1]["frequency"] == found[1].frequency
     assert found_summary["whole"]["x"] == pytest.approx(4000, rel=1e-12)
     assert 0.6 < found_summary["effective_shares"]["y"] < 1.0
@@ -196,7 +197,15 @@ def test_command_line(
         pytest.skip("tells on rank 0 only")
     monkeypatch.chdir(folder)  # docker/run refuses an output that it would not keep
     for key, texts in (
-        ("modal", ("done: 2 modes", "[Hz]", "of the body's mass that a mode moves")),
+        (
+            "modal",
+            (
+                "done: 2 modes",
+                "solver: Krylov-Schur with factors",
+                "[Hz]",
+                "of the body's mass that a mode moves",
+            ),
+        ),
         ("buckling", ("load factor", "mode_01.xdmf, mode_02.xdmf, modes.csv, summary.json")),
     ):
         file = folder / f"{key}.toml"
