@@ -6,18 +6,19 @@
 #include <stdint.h>
 #include <string.h>
 
-#define INLINE static inline __attribute__((always_inline))
+#include "widen.h"
 
-typedef float float4 __attribute__((vector_size(16), aligned(4)));
 typedef double double2 __attribute__((vector_size(16), aligned(8)));
-typedef double double4 __attribute__((vector_size(32), aligned(8)));
 typedef int64_t long4 __attribute__((vector_size(32)));
 
 INLINE double4 column(const int both, const float* high, const float* low)
 {
-  const double4 a = __builtin_convertvector(*(const float4*)high, double4);
-  return both ? a + __builtin_convertvector(*(const float4*)low, double4) : a;
+  const double4 a = widened4(*(const float4*)high);
+  return both ? a + widened4(*(const float4*)low) : a;
 }
+
+/* Entries ahead of those in use that are fetched from memory. */
+#define AHEAD 512
 
 /* Sums of the entries of a, of b and of c. */
 INLINE double4 sums(double4 a, double4 b, double4 c)
@@ -44,6 +45,9 @@ INLINE void multiply_three(const int both, int64_t n, const int64_t* start, cons
     {
       const int64_t j = columns[k];
       const float *h = high + k * 9, *l = both ? low + k * 9 : h;
+      __builtin_prefetch(h + AHEAD);
+      if (both)
+        __builtin_prefetch(l + AHEAD);
       const double4 a = column(both, h, l), b = column(both, h + 3, l + 3);
       const double4 c = column(both, h + 6, l + 6);
       s[0] += a * x[3 * j];

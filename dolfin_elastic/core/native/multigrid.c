@@ -363,10 +363,9 @@ int64_t orthonormalise(int64_t n, int64_t R, int64_t C, int64_t aggregates,
 /* Rows of C entries as vectors of L lanes.  Those behind the C are zero where the row has double
    precision; its last one is read from before it, as nothing may stand behind it.  Where it has
    single precision they hold anything: two more entries stand behind the last row of all. */
-#define ROWS_AS_LANES(L, integers, floats, lanes)                                                  \
+#define ROWS_AS_LANES(L, integers, lanes)                                                          \
   typedef double lanes __attribute__((vector_size(8 * L), aligned(8)));                            \
   typedef int64_t integers __attribute__((vector_size(8 * L)));                                    \
-  typedef float floats __attribute__((vector_size(4 * L), aligned(4)));                            \
   INLINE integers turned_##lanes(int by)                                                           \
   {                                                                                                \
     integers from;                                                                                 \
@@ -388,10 +387,6 @@ int64_t orthonormalise(int64_t n, int64_t R, int64_t C, int64_t aggregates,
     if (row == last)                                                                               \
       read = __builtin_shuffle(read, turned_##lanes(L - C));                                       \
     return inside_##lanes(C, read);                                                                \
-  }                                                                                                \
-  INLINE lanes rounded_row_##lanes(const float* row)                                               \
-  {                                                                                                \
-    return __builtin_convertvector(*(const floats*)row, lanes);                                    \
   }                                                                                                \
   /* w += a p, of which w has rows of L entries, and a K entries in rows S apart */                \
   INLINE void add_product_##lanes(const int R, const int K, const int S, const int C,              \
@@ -418,7 +413,7 @@ int64_t orthonormalise(int64_t n, int64_t R, int64_t C, int64_t aggregates,
       sum[r] = *(lanes*)(w + r * L);                                                               \
     for (int q = 0; q < R; q++)                                                                    \
     {                                                                                              \
-      const lanes row = rounded_row_##lanes(p + q * C);                                            \
+      const lanes row = widened##L(*(const float##L*)(p + q * C));                                 \
       for (int r = 0; r < R; r++)                                                                  \
         sum[r] += a[r * R + q] * row;                                                              \
     }                                                                                              \
@@ -437,14 +432,14 @@ int64_t orthonormalise(int64_t n, int64_t R, int64_t C, int64_t aggregates,
         sum = row_of_##lanes(C, t, r, R - 1);                                                      \
       for (int q = 0; q < R; q++)                                                                  \
         sum += a[r * R + q] * *(const lanes*)(w + q * L);                                          \
-      *(floats*)(p + r * C) = __builtin_convertvector(sum, floats);                                \
+      *(float##L*)(p + r * C) = rounded##L(sum);                                                   \
     }                                                                                              \
   }                                                                                                \
   /* Rows of L entries in double precision */                                                      \
   INLINE void in_lanes_##lanes(const int R, const int C, const float* p, double* q)                \
   {                                                                                                \
     for (int r = 0; r < R; r++)                                                                    \
-      *(lanes*)(q + r * L) = rounded_row_##lanes(p + r * C);                                       \
+      *(lanes*)(q + r * L) = widened##L(*(const float##L*)(p + r * C));                            \
   }                                                                                                \
   /* out += p^T w, of which p and w have rows of L entries; each row writes over what the one      \
      before has written behind its end */                                                          \
@@ -479,7 +474,7 @@ int64_t orthonormalise(int64_t n, int64_t R, int64_t C, int64_t aggregates,
     {                                                                                              \
       const lanes v = *(const lanes*)(e + (int64_t)C * columns[l]);                                \
       for (int r = 0; r < R; r++)                                                                  \
-        sum[r] += rounded_row_##lanes(p + (l * R + r) * C) * v;                                    \
+        sum[r] += widened##L(*(const float##L*)(p + (l * R + r) * C)) * v;                         \
     }                                                                                              \
     for (int r = 0; r < R; r++)                                                                    \
     {                                                                                              \
@@ -494,7 +489,7 @@ int64_t orthonormalise(int64_t n, int64_t R, int64_t C, int64_t aggregates,
   {                                                                                                \
     lanes sum = *(const lanes*)coarse;                                                             \
     for (int k = 0; k < R; k++)                                                                    \
-      sum += rounded_row_##lanes(p + k * C) * r[k];                                                \
+      sum += widened##L(*(const float##L*)(p + k * C)) * r[k];                                     \
     *(double2*)coarse = __builtin_shufflevector(sum, sum, 0, 1);                                   \
     if (C == 3)                                                                                    \
       coarse[2] = sum[2];                                                                          \
@@ -503,8 +498,8 @@ int64_t orthonormalise(int64_t n, int64_t R, int64_t C, int64_t aggregates,
     *(double2*)(coarse + 2) = __builtin_shufflevector(sum, sum, 2, 3);                             \
     *(double2*)(coarse + 4) = __builtin_shufflevector(sum, sum, 4, 5);                             \
   }
-ROWS_AS_LANES(4, integers4, floats4, lanes4)
-ROWS_AS_LANES(8, integers8, floats8, lanes8)
+ROWS_AS_LANES(4, integers4, lanes4)
+ROWS_AS_LANES(8, integers8, lanes8)
 
 /* The one of these that rows of C entries need. */
 #define AS_LANES(C, f, ...) ((C) > 4 ? f##_lanes8(__VA_ARGS__) : f##_lanes4(__VA_ARGS__))
@@ -793,7 +788,7 @@ INLINE void row_times(const int R, int64_t first, int64_t last, const int32_t* c
     {
       const double* v = x + (int64_t)C * columns[k];
       for (int c = 0; c < C; c++)
-        s[c] += __builtin_convertvector(*(const float4*)(a + (k * C + c) * 3), double4) * v[c];
+        s[c] += widened4(*(const float4*)(a + (k * C + c) * 3)) * v[c];
     }
     for (int c = 1; c < C; c++)
       s[0] += s[c];
@@ -1038,54 +1033,45 @@ int64_t product_of_half(int64_t R, int64_t n, const int64_t start[n + 1],
   return 0;
 }
 
-/* Sums of the entries of each of six. */
-INLINE lanes8 sums_of_six(const lanes8* p)
-{
-  const lanes8 none = {0.0};
-  const integers8 even = {0, 8, 2, 10, 4, 12, 6, 14}, odd = {1, 9, 3, 11, 5, 13, 7, 15};
-  const integers8 first = {0, 1, 8, 9, 4, 5, 12, 13}, second = {2, 3, 10, 11, 6, 7, 14, 15};
-  const integers8 below = {0, 1, 2, 3, 8, 9, 10, 11}, above = {4, 5, 6, 7, 12, 13, 14, 15};
-  const lanes8 a = __builtin_shuffle(p[0], p[1], even) + __builtin_shuffle(p[0], p[1], odd);
-  const lanes8 b = __builtin_shuffle(p[2], p[3], even) + __builtin_shuffle(p[2], p[3], odd);
-  const lanes8 c = __builtin_shuffle(p[4], p[5], even) + __builtin_shuffle(p[4], p[5], odd);
-  const lanes8 d = __builtin_shuffle(a, b, first) + __builtin_shuffle(a, b, second);
-  const lanes8 e = __builtin_shuffle(c, none, first) + __builtin_shuffle(c, none, second);
-  return __builtin_shuffle(d, e, below) + __builtin_shuffle(d, e, above);
-}
-
-/* y += A x with blocks of 6x6.  Columns are read as eight: behind the last block two more are
-   there. */
+/* y += A x with blocks of 6x6, two columns of which are three vectors of four: the first four of
+   one, its last two and the first two of the other, and the last four of that. */
 INLINE void multiply_six(int64_t n, const int64_t* start, const int32_t* columns,
                          const float* half, const double* x, double* y)
 {
   for (int64_t i = 0; i < n; i++)
   {
-    const double* z = x + 6 * i;
-    const lanes8 own = {z[0], z[1], z[2], z[3], z[4], z[5], 0.0, 0.0};
-    lanes8 s = {0.0}, t = {0.0}, p[6];
+    const double4 first = *(const double4*)(x + 6 * i), last = *(const double4*)(x + 6 * i + 2);
+    const double4 middle = __builtin_shufflevector(last, first, 2, 3, 4, 5);
+    double4 s[3] = {{0.0}, {0.0}, {0.0}};
     for (int64_t k = start[i]; k < start[i + 1]; k++)
     {
       const int64_t j = columns[k];
       const float* a = half + k * 36;
-      for (int c = 0; c < 6; c += 2)
+      double4 t[3];
+      for (int l = 0; l < 3; l++, a += 12)
       {
-        const lanes8 one = __builtin_convertvector(*(const floats8*)(a + c * 6), lanes8);
-        const lanes8 two = __builtin_convertvector(*(const floats8*)(a + c * 6 + 6), lanes8);
-        s += one * x[6 * j + c];
-        t += two * x[6 * j + c + 1];
-        p[c] = one * own;
-        p[c + 1] = two * own;
+        __builtin_prefetch(a + AHEAD);
+        const double one = x[6 * j + 2 * l], two = x[6 * j + 2 * l + 1];
+        const double4 p = widened4(*(const float4*)a), q = widened4(*(const float4*)(a + 4));
+        const double4 r = widened4(*(const float4*)(a + 8)), u = p * first, v = r * last;
+        s[0] += p * one;
+        s[1] += q * (double4){one, one, two, two};
+        s[2] += r * two;
+        t[l] = q * middle + __builtin_shufflevector(u, v, 0, 1, 4, 5)
+               + __builtin_shufflevector(u, v, 2, 3, 6, 7);
       }
       if (j > i && j < n)
       {
-        const lanes8 sum = sums_of_six(p);
-        *(double4*)(y + 6 * j) += __builtin_shufflevector(sum, sum, 0, 1, 2, 3);
-        *(double2*)(y + 6 * j + 4) += __builtin_shufflevector(sum, sum, 4, 5);
+        const double4 u = __builtin_shufflevector(t[0], t[1], 0, 2, 4, 6)
+                          + __builtin_shufflevector(t[0], t[1], 1, 3, 5, 7);
+        *(double4*)(y + 6 * j) += u;
+        *(double2*)(y + 6 * j + 4) += __builtin_shufflevector(t[2], t[2], 0, 2)
+                                      + __builtin_shufflevector(t[2], t[2], 1, 3);
       }
     }
-    s += t;
-    for (int r = 0; r < 6; r++)
-      y[6 * i + r] += s[r];
+    *(double4*)(y + 6 * i) += s[0] + __builtin_shufflevector(s[1], s[2], 2, 3, 4, 5);
+    *(double2*)(y + 6 * i + 4)
+        += __builtin_shufflevector(s[1], s[1], 0, 1) + __builtin_shufflevector(s[2], s[2], 2, 3);
   }
 }
 

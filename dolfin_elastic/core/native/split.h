@@ -1,6 +1,8 @@
 /* Entries as a sum of two numbers of single precision: `high` is the entry rounded, `low` what is
    missing, so that both have 48 digits of its 53. */
 
+#include "widen.h"
+
 /* Adds an entry to one that is the sum of two of single precision. */
 static inline void add_split(float* high, float* low, double value)
 {
@@ -10,16 +12,11 @@ static inline void add_split(float* high, float* low, double value)
   *low = (float)(sum - (double)rounded);
 }
 
-typedef float floats __attribute__((vector_size(32), aligned(4)));
-typedef double doubles __attribute__((vector_size(64), aligned(8)));
-
 /* Adds eight entries in a row. */
-static inline __attribute__((always_inline)) void add_eight(float* high, float* low, doubles values)
+INLINE void add_eight(float* high, float* low, double8 values)
 {
-  const doubles sum = __builtin_convertvector(*(const floats*)high, doubles)
-                      + __builtin_convertvector(*(const floats*)low, doubles) + values;
-  const floats rounded = __builtin_convertvector(sum, floats);
-  *(floats*)high = rounded;
-  *(floats*)low
-      = __builtin_convertvector(sum - __builtin_convertvector(rounded, doubles), floats);
+  const double8 sum = widened8(*(const float8*)high) + widened8(*(const float8*)low) + values;
+  const float8 rounded = rounded8(sum);
+  *(float8*)high = rounded;
+  *(float8*)low = rounded8(sum - widened8(rounded));
 }

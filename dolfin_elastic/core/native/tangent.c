@@ -372,12 +372,12 @@ int64_t add_half(int64_t kernel, int64_t count, const int32_t cells[count], int6
 #endif
 #if DIM == 3
 #if LANES == 1
-            const doubles first = {ENTRY(0, 0), ENTRY(1, 0), ENTRY(2, 0), ENTRY(0, 1),
+            const double8 first = {ENTRY(0, 0), ENTRY(1, 0), ENTRY(2, 0), ENTRY(0, 1),
                                    ENTRY(1, 1), ENTRY(2, 1), ENTRY(0, 2), ENTRY(1, 2)};
 #else
             static const marks order[2]
                 = {{0, 3, 6, 1, 4, 7, 2, 5}, {0, 1, 2, 3, 4, 5, 6, 7}};
-            const doubles first = __builtin_shuffle(eight[l], order[turned]);
+            const double8 first = __builtin_shuffle(eight[l], order[turned]);
 #endif
             add_eight(high + k, low + k, first);
             add_split(high + k + 8, low + k + 8, ENTRY(2, 2));
