@@ -226,22 +226,25 @@ def of_multigrid(sizes: dict[str, int], lanes: int) -> Iterator[Call]:
             yield name, from_one | size
         for name in ("invert_blocks", "times_diagonal", "product"):
             yield name, values | size
-        for name in ("smooth_first", "correct", "smooth"):
+        for name in ("smooth_first", "smooth"):
             yield name, values | size
             yield f"{name}_eight", values | size
         yield "rows_of_half", halves | size | {"first": 1, "count": rows - 1}
         yield "product_of_half", halves | size
-        yield "rounded_product_of_half", halves | size
-        yield "rounded_product_of_half_eight", halves | size
+        for name in ("smooth_of_half", "smooth_of_half_eight"):
+            yield name, halves | size
     for R, C in ((dim, dim), (dim, modes), (modes, modes)):
         size = {"R": R, "C": C}
         for name in ("hold_fixed", "fill_smoothed", "galerkin"):
             yield name, from_one | size
         for name in ("orthonormalise", "in_single_precision", "into_single_precision"):
             yield name, values | size
-        for name in ("restrict_vector", "restrict_residual", "prolong"):
+        for name in ("restrict_residual", "prolong"):
             yield name, values | size
             yield f"{name}_eight", values | size
+        halved = values | halves | size
+        for name in ("restrict_residual_of_half", "restrict_residual_of_half_eight"):
+            yield name, halved
 
 
 def of_patches(sizes: dict[str, int], lanes: int) -> Iterator[Call]:

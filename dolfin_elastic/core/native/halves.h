@@ -32,38 +32,36 @@ INLINE double4 sums(double4 a, double4 b, double4 c)
          + __builtin_shuffle(u, v, (long4){2, 3, 6, 7});
 }
 
-/* y += A x with blocks of 3x3.  Columns are read as four: behind the last block one more is
-   there. */
-INLINE void multiply_three(const int both, int64_t n, const int64_t* start, const int32_t* columns,
-                           const float* high, const float* low, const double* x, double* y)
+/* What row i of A x adds to y, with blocks of 3x3.  Columns are read as four: behind the last block
+   one more is there. */
+INLINE void multiply_row_of_three(const int both, int64_t i, int64_t n, const int64_t* start,
+                                  const int32_t* columns, const float* high, const float* low,
+                                  const double* x, double* y)
 {
-  for (int64_t i = 0; i < n; i++)
+  const double4 own = {x[3 * i], x[3 * i + 1], x[3 * i + 2], 0.0};
+  double4 s[3] = {{0.0}, {0.0}, {0.0}};
+  for (int64_t k = start[i]; k < start[i + 1]; k++)
   {
-    const double4 own = {x[3 * i], x[3 * i + 1], x[3 * i + 2], 0.0};
-    double4 s[3] = {{0.0}, {0.0}, {0.0}};
-    for (int64_t k = start[i]; k < start[i + 1]; k++)
+    const int64_t j = columns[k];
+    const float *h = high + k * 9, *l = both ? low + k * 9 : h;
+    __builtin_prefetch(h + AHEAD);
+    if (both)
+      __builtin_prefetch(l + AHEAD);
+    const double4 a = column(both, h, l), b = column(both, h + 3, l + 3);
+    const double4 c = column(both, h + 6, l + 6);
+    s[0] += a * x[3 * j];
+    s[1] += b * x[3 * j + 1];
+    s[2] += c * x[3 * j + 2];
+    if (j > i && j < n)
     {
-      const int64_t j = columns[k];
-      const float *h = high + k * 9, *l = both ? low + k * 9 : h;
-      __builtin_prefetch(h + AHEAD);
-      if (both)
-        __builtin_prefetch(l + AHEAD);
-      const double4 a = column(both, h, l), b = column(both, h + 3, l + 3);
-      const double4 c = column(both, h + 6, l + 6);
-      s[0] += a * x[3 * j];
-      s[1] += b * x[3 * j + 1];
-      s[2] += c * x[3 * j + 2];
-      if (j > i && j < n)
-      {
-        const double4 t = sums(a * own, b * own, c * own);
-        *(double2*)(y + 3 * j) += __builtin_shufflevector(t, t, 0, 1);
-        y[3 * j + 2] += t[2];
-      }
+      const double4 t = sums(a * own, b * own, c * own);
+      *(double2*)(y + 3 * j) += __builtin_shufflevector(t, t, 0, 1);
+      y[3 * j + 2] += t[2];
     }
-    s[0] += s[1] + s[2];
-    for (int r = 0; r < 3; r++)
-      y[3 * i + r] += s[0][r];
   }
+  s[0] += s[1] + s[2];
+  for (int r = 0; r < 3; r++)
+    y[3 * i + r] += s[0][r];
 }
 
 /* Where rows of all blocks begin. */

@@ -461,42 +461,6 @@ int64_t orthonormalise(int64_t n, int64_t R, int64_t C, int64_t aggregates,
     for (int c = 0; c < L; c++)                                                                    \
       both[c] = c < L - C ? c + 2 * C - L : L + c - (L - C);                                       \
     *(lanes*)(out + C * C - L) = __builtin_shuffle(sum[C - 2], sum[C - 1], both);                  \
-  }                                                                                                \
-  /* x += P e, of one node */                                                                      \
-  INLINE void add_prolonged_##lanes(const int R, const int C, int64_t first, int64_t last,         \
-                                    const int32_t* columns, const float* p, const double* e,       \
-                                    double* x)                                                     \
-  {                                                                                                \
-    lanes sum[R];                                                                                  \
-    for (int r = 0; r < R; r++)                                                                    \
-      sum[r] = (lanes){0.0};                                                                       \
-    for (int64_t l = first; l < last; l++)                                                         \
-    {                                                                                              \
-      const lanes v = *(const lanes*)(e + (int64_t)C * columns[l]);                                \
-      for (int r = 0; r < R; r++)                                                                  \
-        sum[r] += widened##L(*(const float##L*)(p + (l * R + r) * C)) * v;                         \
-    }                                                                                              \
-    for (int r = 0; r < R; r++)                                                                    \
-    {                                                                                              \
-      x[r] += sum[r][0] + sum[r][1];                                                               \
-      x[r] += C > 4 ? sum[r][2] + sum[r][3] + sum[r][4 % L] + sum[r][5 % L] : 0.0;                 \
-      x[r] += C == 3 ? sum[r][2] : 0.0;                                                            \
-    }                                                                                              \
-  }                                                                                                \
-  /* coarse += p^T r */                                                                            \
-  INLINE void add_restricted_##lanes(const int R, const int C, const float* p, const double* r,    \
-                                     double* coarse)                                               \
-  {                                                                                                \
-    lanes sum = *(const lanes*)coarse;                                                             \
-    for (int k = 0; k < R; k++)                                                                    \
-      sum += widened##L(*(const float##L*)(p + k * C)) * r[k];                                     \
-    *(double2*)coarse = __builtin_shufflevector(sum, sum, 0, 1);                                   \
-    if (C == 3)                                                                                    \
-      coarse[2] = sum[2];                                                                          \
-    if (C <= 4)                                                                                    \
-      return;                                                                                      \
-    *(double2*)(coarse + 2) = __builtin_shufflevector(sum, sum, 2, 3);                             \
-    *(double2*)(coarse + 4) = __builtin_shufflevector(sum, sum, 4, 5);                             \
   }
 ROWS_AS_LANES(4, integers4, lanes4)
 ROWS_AS_LANES(8, integers8, lanes8)
@@ -820,29 +784,18 @@ INLINE void add_scaled(const int R, const float* inverse, const double* r, doubl
       z[k] += inverse[c * R + k] * r[c];
 }
 
-/* y = x + S (b - y), where y is A x */
-INLINE void correct_(const int R, const int C, int64_t n, const float* inverse, const double* x,
-                     const double* b, double* y)
+/* y = x + S (b - y), of one node, where y is A x */
+INLINE void correct(const int R, const float* inverse, const double* x, const double* b, double* y)
 {
-  (void)C;
-  for (int64_t i = 0; i < n; i++)
+  double r[R], z[R];
+  for (int k = 0; k < R; k++)
   {
-    double r[R], z[R];
-    for (int k = 0; k < R; k++)
-    {
-      r[k] = b[i * R + k] - y[i * R + k];
-      z[k] = x[i * R + k];
-    }
-    add_scaled(R, inverse + i * R * R, r, z);
-    for (int k = 0; k < R; k++)
-      y[i * R + k] = z[k];
+    r[k] = b[k] - y[k];
+    z[k] = x[k];
   }
-}
-int64_t correct(int64_t R, int64_t n, const float inverse[R * R * n], const double x[R * n],
-                const double b[R * n], double y[R * n])
-{
-  DISPATCH(R, R, correct_, n, inverse, x, b, y);
-  return 0;
+  add_scaled(R, inverse, r, z);
+  for (int k = 0; k < R; k++)
+    y[k] = z[k];
 }
 
 /* y = x + S (b - A x) */
@@ -898,7 +851,8 @@ int64_t smooth_first(int64_t R, int64_t n, const float inverse[R * R * n], const
 }
 
 /* Interpolations have their blocks row by row.  They and vectors of the coarse level have room for
-   two entries behind their last ones, which are read as part of lanes. */
+   two entries behind their last ones, which are read as part of four; rows of six are their first
+   four and their last four entries. */
 
 /* coarse += P^T r, of one node */
 INLINE void restrict_node(const int R, const int C, int64_t first, int64_t last,
@@ -906,22 +860,54 @@ INLINE void restrict_node(const int R, const int C, int64_t first, int64_t last,
                           double* coarse)
 {
   for (int64_t l = first; l < last; l++)
-    AS_LANES(C, add_restricted, R, C, p + l * R * C, r, coarse + (int64_t)C * p_columns[l]);
+  {
+    double* at = coarse + (int64_t)C * p_columns[l];
+    double4 sum = {0.0}, rest = {0.0};
+    for (int k = 0; k < R; k++)
+    {
+      const float* row = p + (l * R + k) * C;
+      __builtin_prefetch(row + AHEAD);
+      sum += widened4(*(const float4*)row) * r[k];
+      if (C == 6)
+        rest += widened4(*(const float4*)(row + 2)) * r[k];
+    }
+    if (C == 6)
+    {
+      *(double4*)at += sum;
+      *(double2*)(at + 4) += __builtin_shufflevector(rest, rest, 2, 3);
+      continue;
+    }
+    *(double2*)at += __builtin_shufflevector(sum, sum, 0, 1);
+    if (C == 3)
+      at[2] += sum[2];
+  }
 }
 
-/* coarse += P^T r */
-INLINE void restrict_(const int R, const int C, int64_t n, const int64_t* p_start,
-                      const int32_t* p_columns, const float* p, const double* r, double* coarse)
+/* x += P e, of one node */
+INLINE void prolong_node(const int R, const int C, int64_t first, int64_t last,
+                         const int32_t* p_columns, const float* p, const double* e, double* x)
 {
-  for (int64_t i = 0; i < n; i++)
-    restrict_node(R, C, p_start[i], p_start[i + 1], p_columns, p, r + i * R, coarse);
-}
-int64_t restrict_vector(int64_t R, int64_t C, int64_t n, const int64_t p_start[n + 1],
-                        const int32_t p_columns[p_start[n]], const float p[R * C * p_start[n] + 2],
-                        const double r[R * n], int64_t groups, double coarse[C * groups + 2])
-{
-  DISPATCH(R, C, restrict_, n, p_start, p_columns, p, r, coarse);
-  return 0;
+  double4 sum[R], rest[R];
+  for (int r = 0; r < R; r++)
+    sum[r] = rest[r] = (double4){0.0};
+  for (int64_t l = first; l < last; l++)
+  {
+    const double* at = e + (int64_t)C * p_columns[l];
+    for (int r = 0; r < R; r++)
+    {
+      const float* row = p + (l * R + r) * C;
+      __builtin_prefetch(row + AHEAD);
+      sum[r] += widened4(*(const float4*)row) * *(const double4*)at;
+      if (C == 6)
+        rest[r] += widened4(*(const float4*)(row + 2)) * *(const double4*)(at + 2);
+    }
+  }
+  for (int r = 0; r < R; r++)
+  {
+    x[r] += sum[r][0] + sum[r][1];
+    x[r] += C > 2 ? sum[r][2] : 0.0;
+    x[r] += C == 6 ? sum[r][3] + rest[r][2] + rest[r][3] : 0.0;
+  }
 }
 
 /* coarse += P^T (b - A x) */
@@ -957,7 +943,7 @@ INLINE void prolong_(const int R, const int C, int64_t n, const int64_t* p_start
                      const int32_t* p_columns, const float* p, const double* e, double* x)
 {
   for (int64_t i = 0; i < n; i++)
-    AS_LANES(C, add_prolonged, R, C, p_start[i], p_start[i + 1], p_columns, p, e, x + i * R);
+    prolong_node(R, C, p_start[i], p_start[i + 1], p_columns, p, e, x + i * R);
 }
 int64_t prolong(int64_t R, int64_t C, int64_t n, const int64_t p_start[n + 1],
                 const int32_t p_columns[p_start[n]], const float p[R * C * p_start[n] + 2],
@@ -1033,80 +1019,119 @@ int64_t product_of_half(int64_t R, int64_t n, const int64_t start[n + 1],
   return 0;
 }
 
-/* y += A x with blocks of 6x6, two columns of which are three vectors of four: the first four of
-   one, its last two and the first two of the other, and the last four of that. */
-INLINE void multiply_six(int64_t n, const int64_t* start, const int32_t* columns,
-                         const float* half, const double* x, double* y)
+/* What row i of A x adds to y, with blocks of 6x6, two columns of which are three vectors of
+   four: the first four of one, its last two and the first two of the other, and the last four of
+   that. */
+INLINE void multiply_row_of_six(int64_t i, int64_t n, const int64_t* start, const int32_t* columns,
+                                const float* half, const double* x, double* y)
 {
-  for (int64_t i = 0; i < n; i++)
+  const double4 first = *(const double4*)(x + 6 * i), last = *(const double4*)(x + 6 * i + 2);
+  const double4 middle = __builtin_shufflevector(last, first, 2, 3, 4, 5);
+  double4 s[3] = {{0.0}, {0.0}, {0.0}};
+  for (int64_t k = start[i]; k < start[i + 1]; k++)
   {
-    const double4 first = *(const double4*)(x + 6 * i), last = *(const double4*)(x + 6 * i + 2);
-    const double4 middle = __builtin_shufflevector(last, first, 2, 3, 4, 5);
-    double4 s[3] = {{0.0}, {0.0}, {0.0}};
+    const int64_t j = columns[k];
+    const float* a = half + k * 36;
+    double4 t[3];
+    for (int l = 0; l < 3; l++, a += 12)
+    {
+      __builtin_prefetch(a + AHEAD);
+      const double one = x[6 * j + 2 * l], two = x[6 * j + 2 * l + 1];
+      const double4 p = widened4(*(const float4*)a), q = widened4(*(const float4*)(a + 4));
+      const double4 r = widened4(*(const float4*)(a + 8)), u = p * first, v = r * last;
+      s[0] += p * one;
+      s[1] += q * (double4){one, one, two, two};
+      s[2] += r * two;
+      t[l] = q * middle + __builtin_shufflevector(u, v, 0, 1, 4, 5)
+             + __builtin_shufflevector(u, v, 2, 3, 6, 7);
+    }
+    if (j > i && j < n)
+    {
+      *(double4*)(y + 6 * j) += __builtin_shufflevector(t[0], t[1], 0, 2, 4, 6)
+                                + __builtin_shufflevector(t[0], t[1], 1, 3, 5, 7);
+      *(double2*)(y + 6 * j + 4) += __builtin_shufflevector(t[2], t[2], 0, 2)
+                                    + __builtin_shufflevector(t[2], t[2], 1, 3);
+    }
+  }
+  *(double4*)(y + 6 * i) += s[0] + __builtin_shufflevector(s[1], s[2], 2, 3, 4, 5);
+  *(double2*)(y + 6 * i + 4)
+      += __builtin_shufflevector(s[1], s[1], 0, 1) + __builtin_shufflevector(s[2], s[2], 2, 3);
+}
+
+/* What row i of A x adds to y, of a matrix by the half of its blocks, in single precision, column
+   by column.  With it y is complete at node i: rows before have added what they have for it. */
+INLINE void multiply_row_of_half(const int R, int64_t i, int64_t n, const int64_t* start,
+                                 const int32_t* columns, const float* half, const double* x,
+                                 double* y)
+{
+  if (R == 6)
+    multiply_row_of_six(i, n, start, columns, half, x, y);
+  else if (R == 3)
+    multiply_row_of_three(0, i, n, start, columns, half, half, x, y);
+  else
     for (int64_t k = start[i]; k < start[i + 1]; k++)
     {
       const int64_t j = columns[k];
-      const float* a = half + k * 36;
-      double4 t[3];
-      for (int l = 0; l < 3; l++, a += 12)
-      {
-        __builtin_prefetch(a + AHEAD);
-        const double one = x[6 * j + 2 * l], two = x[6 * j + 2 * l + 1];
-        const double4 p = widened4(*(const float4*)a), q = widened4(*(const float4*)(a + 4));
-        const double4 r = widened4(*(const float4*)(a + 8)), u = p * first, v = r * last;
-        s[0] += p * one;
-        s[1] += q * (double4){one, one, two, two};
-        s[2] += r * two;
-        t[l] = q * middle + __builtin_shufflevector(u, v, 0, 1, 4, 5)
-               + __builtin_shufflevector(u, v, 2, 3, 6, 7);
-      }
-      if (j > i && j < n)
-      {
-        const double4 u = __builtin_shufflevector(t[0], t[1], 0, 2, 4, 6)
-                          + __builtin_shufflevector(t[0], t[1], 1, 3, 5, 7);
-        *(double4*)(y + 6 * j) += u;
-        *(double2*)(y + 6 * j + 4) += __builtin_shufflevector(t[2], t[2], 0, 2)
-                                      + __builtin_shufflevector(t[2], t[2], 1, 3);
-      }
+      for (int c = 0; c < R; c++)
+        for (int r = 0; r < R; r++)
+        {
+          const double a = half[(k * R + c) * R + r];
+          y[i * R + r] += a * x[j * R + c];
+          if (j > i && j < n)
+            y[j * R + c] += a * x[i * R + r];
+        }
     }
-    *(double4*)(y + 6 * i) += s[0] + __builtin_shufflevector(s[1], s[2], 2, 3, 4, 5);
-    *(double2*)(y + 6 * i + 4)
-        += __builtin_shufflevector(s[1], s[1], 0, 1) + __builtin_shufflevector(s[2], s[2], 2, 3);
-  }
 }
 
-/* y = A x with blocks in single precision, column by column. */
-INLINE void rounded_product_of_half_(const int R, const int C, int64_t n, const int64_t* start,
-                                     const int32_t* columns, const float* half, const double* x,
-                                     double* y)
+/* y = x + S (b - A x) */
+INLINE void smooth_of_half_(const int R, const int C, int64_t n, const int64_t* start,
+                            const int32_t* columns, const float* half, const float* inverse,
+                            const double* x, const double* b, double* y)
 {
   (void)C;
   memset(y, 0, sizeof(double) * R * n);
-  if (R == 6)
-    multiply_six(n, start, columns, half, x, y);
-  else if (R == 3)
-    multiply_three(0, n, start, columns, half, half, x, y);
-  else
-    for (int64_t i = 0; i < n; i++)
-      for (int64_t k = start[i]; k < start[i + 1]; k++)
-      {
-        const int64_t j = columns[k];
-        for (int c = 0; c < R; c++)
-          for (int r = 0; r < R; r++)
-          {
-            const double a = half[(k * R + c) * R + r];
-            y[i * R + r] += a * x[j * R + c];
-            if (j > i && j < n)
-              y[j * R + c] += a * x[i * R + r];
-          }
-      }
+  for (int64_t i = 0; i < n; i++)
+  {
+    multiply_row_of_half(R, i, n, start, columns, half, x, y);
+    correct(R, inverse + i * R * R, x + i * R, b + i * R, y + i * R);
+  }
 }
-int64_t rounded_product_of_half(int64_t R, int64_t n, const int64_t start[n + 1],
-                                const int32_t columns[start[n]],
-                                const float half[R * R * start[n] + R / 3], int64_t nodes,
-                                const double x[R * nodes], double y[R * n])
+int64_t smooth_of_half(int64_t R, int64_t n, const int64_t start[n + 1],
+                       const int32_t columns[start[n]], const float half[R * R * start[n] + R / 3],
+                       const float inverse[R * R * n], int64_t nodes, const double x[R * nodes],
+                       const double b[R * n], double y[R * n])
 {
-  DISPATCH(R, R, rounded_product_of_half_, n, start, columns, half, x, y);
+  DISPATCH(R, R, smooth_of_half_, n, start, columns, half, inverse, x, b, y);
+  return 0;
+}
+
+/* coarse += P^T (b - A x); y is room */
+INLINE void restrict_residual_of_half_(const int R, const int C, int64_t n, const int64_t* start,
+                                       const int32_t* columns, const float* half, const double* x,
+                                       const double* b, const int64_t* p_start,
+                                       const int32_t* p_columns, const float* p, double* coarse,
+                                       double* y)
+{
+  memset(y, 0, sizeof(double) * R * n);
+  for (int64_t i = 0; i < n; i++)
+  {
+    multiply_row_of_half(R, i, n, start, columns, half, x, y);
+    double r[R];
+    for (int k = 0; k < R; k++)
+      r[k] = b[i * R + k] - y[i * R + k];
+    restrict_node(R, C, p_start[i], p_start[i + 1], p_columns, p, r, coarse);
+  }
+}
+int64_t restrict_residual_of_half(int64_t R, int64_t C, int64_t n, const int64_t start[n + 1],
+                                  const int32_t columns[start[n]],
+                                  const float half[R * R * start[n] + R / 3], int64_t nodes,
+                                  const double x[R * nodes], const double b[R * n],
+                                  const int64_t p_start[n + 1], const int32_t p_columns[p_start[n]],
+                                  const float p[R * C * p_start[n] + 2], int64_t groups,
+                                  double coarse[C * groups + 2], double y[R * n])
+{
+  DISPATCH(R, C, restrict_residual_of_half_, n, start, columns, half, x, b, p_start, p_columns, p,
+           coarse, y);
   return 0;
 }
 
@@ -1178,27 +1203,17 @@ int64_t smooth_first_eight(int64_t R, int64_t n, const float inverse[R * R * n],
   return 0;
 }
 
-/* y = x + S (b - y), where y is A x */
-INLINE void correct_eight_(const int R, const int C, int64_t n, const float* inverse,
-                           const lanes8* x, const lanes8* b, lanes8* y)
+/* y = x + S (b - y), of one node, where y is A x */
+INLINE void correct_eight(const int R, const float* inverse, const lanes8* x, const lanes8* b,
+                          lanes8* y)
 {
-  (void)C;
-  for (int64_t i = 0; i < n; i++)
+  lanes8 r[R];
+  for (int k = 0; k < R; k++)
   {
-    lanes8 r[R];
-    for (int k = 0; k < R; k++)
-    {
-      r[k] = b[i * R + k] - y[i * R + k];
-      y[i * R + k] = x[i * R + k];
-    }
-    add_scaled_eight(R, inverse + i * R * R, r, y + i * R);
+    r[k] = b[k] - y[k];
+    y[k] = x[k];
   }
-}
-int64_t correct_eight(int64_t R, int64_t n, const float inverse[R * R * n],
-                      const double x[8 * R * n], const double b[8 * R * n], double y[8 * R * n])
-{
-  DISPATCH(R, R, correct_eight_, n, inverse, (const lanes8*)x, (const lanes8*)b, (lanes8*)y);
-  return 0;
+  add_scaled_eight(R, inverse, r, y);
 }
 
 /* y = x + S (b - A x) */
@@ -1223,23 +1238,6 @@ int64_t smooth_eight(int64_t R, int64_t n, const int64_t start[n + 1],
 {
   DISPATCH(R, R, smooth_eight_, n, start, columns, a, inverse, (const lanes8*)x,
            (const lanes8*)b, (lanes8*)y);
-  return 0;
-}
-
-/* coarse += P^T r */
-INLINE void restrict_eight_(const int R, const int C, int64_t n, const int64_t* p_start,
-                            const int32_t* p_columns, const float* p, const lanes8* r,
-                            lanes8* coarse)
-{
-  for (int64_t i = 0; i < n; i++)
-    restrict_node_eight(R, C, p_start[i], p_start[i + 1], p_columns, p, r + i * R, coarse);
-}
-int64_t restrict_vector_eight(int64_t R, int64_t C, int64_t n, const int64_t p_start[n + 1],
-                              const int32_t p_columns[p_start[n]],
-                              const float p[R * C * p_start[n] + 2], const double r[8 * R * n],
-                              int64_t groups, double coarse[8 * C * groups])
-{
-  DISPATCH(R, C, restrict_eight_, n, p_start, p_columns, p, (const lanes8*)r, (lanes8*)coarse);
   return 0;
 }
 
@@ -1287,40 +1285,80 @@ int64_t prolong_eight(int64_t R, int64_t C, int64_t n, const int64_t p_start[n +
   return 0;
 }
 
-/* y = A x with blocks in single precision, column by column, of which the half is there. */
-INLINE void rounded_product_of_half_eight_(const int R, const int C, int64_t n,
-                                           const int64_t* start, const int32_t* columns,
-                                           const float* half, const lanes8* x, lanes8* y)
+/* What row i of A x adds to y, of a matrix by the half of its blocks. */
+INLINE void multiply_row_of_half_eight(const int R, int64_t i, int64_t n, const int64_t* start,
+                                       const int32_t* columns, const float* half, const lanes8* x,
+                                       lanes8* y)
+{
+  lanes8 s[R], own[R];
+  for (int r = 0; r < R; r++)
+  {
+    s[r] = (lanes8){0.0};
+    own[r] = x[i * R + r];
+  }
+  row_times_eight(R, start[i], start[i + 1], columns, half, x, s);
+  for (int64_t k = start[i]; k < start[i + 1]; k++)
+    for (int c = 0; columns[k] > i && columns[k] < n && c < R; c++)
+    {
+      lanes8 t = {0.0};
+      for (int r = 0; r < R; r++)
+        t += (double)half[(k * R + c) * R + r] * own[r];
+      y[(int64_t)R * columns[k] + c] += t;
+    }
+  for (int r = 0; r < R; r++)
+    y[i * R + r] += s[r];
+}
+
+/* y = x + S (b - A x) */
+INLINE void smooth_of_half_eight_(const int R, const int C, int64_t n, const int64_t* start,
+                                  const int32_t* columns, const float* half, const float* inverse,
+                                  const lanes8* x, const lanes8* b, lanes8* y)
 {
   (void)C;
   memset(y, 0, sizeof(lanes8) * R * n);
   for (int64_t i = 0; i < n; i++)
   {
-    lanes8 s[R], own[R];
-    for (int r = 0; r < R; r++)
-    {
-      s[r] = (lanes8){0.0};
-      own[r] = x[i * R + r];
-    }
-    row_times_eight(R, start[i], start[i + 1], columns, half, x, s);
-    for (int64_t k = start[i]; k < start[i + 1]; k++)
-      for (int c = 0; columns[k] > i && columns[k] < n && c < R; c++)
-      {
-        lanes8 t = {0.0};
-        for (int r = 0; r < R; r++)
-          t += (double)half[(k * R + c) * R + r] * own[r];
-        y[(int64_t)R * columns[k] + c] += t;
-      }
-    for (int r = 0; r < R; r++)
-      y[i * R + r] += s[r];
+    multiply_row_of_half_eight(R, i, n, start, columns, half, x, y);
+    correct_eight(R, inverse + i * R * R, x + i * R, b + i * R, y + i * R);
   }
 }
-int64_t rounded_product_of_half_eight(int64_t R, int64_t n, const int64_t start[n + 1],
-                                      const int32_t columns[start[n]],
-                                      const float half[R * R * start[n] + R / 3], int64_t nodes,
-                                      const double x[8 * R * nodes], double y[8 * R * n])
+int64_t smooth_of_half_eight(int64_t R, int64_t n, const int64_t start[n + 1],
+                             const int32_t columns[start[n]],
+                             const float half[R * R * start[n] + R / 3],
+                             const float inverse[R * R * n], int64_t nodes,
+                             const double x[8 * R * nodes], const double b[8 * R * n],
+                             double y[8 * R * n])
 {
-  DISPATCH(R, R, rounded_product_of_half_eight_, n, start, columns, half, (const lanes8*)x,
-           (lanes8*)y);
+  DISPATCH(R, R, smooth_of_half_eight_, n, start, columns, half, inverse, (const lanes8*)x,
+           (const lanes8*)b, (lanes8*)y);
+  return 0;
+}
+
+/* coarse += P^T (b - A x); y is room */
+INLINE void restrict_residual_of_half_eight_(const int R, const int C, int64_t n,
+                                             const int64_t* start, const int32_t* columns,
+                                             const float* half, const lanes8* x, const lanes8* b,
+                                             const int64_t* p_start, const int32_t* p_columns,
+                                             const float* p, lanes8* coarse, lanes8* y)
+{
+  memset(y, 0, sizeof(lanes8) * R * n);
+  for (int64_t i = 0; i < n; i++)
+  {
+    multiply_row_of_half_eight(R, i, n, start, columns, half, x, y);
+    lanes8 r[R];
+    for (int k = 0; k < R; k++)
+      r[k] = b[i * R + k] - y[i * R + k];
+    restrict_node_eight(R, C, p_start[i], p_start[i + 1], p_columns, p, r, coarse);
+  }
+}
+int64_t restrict_residual_of_half_eight(
+    int64_t R, int64_t C, int64_t n, const int64_t start[n + 1], const int32_t columns[start[n]],
+    const float half[R * R * start[n] + R / 3], int64_t nodes, const double x[8 * R * nodes],
+    const double b[8 * R * n], const int64_t p_start[n + 1], const int32_t p_columns[p_start[n]],
+    const float p[R * C * p_start[n] + 2], int64_t groups, double coarse[8 * C * groups],
+    double y[8 * R * n])
+{
+  DISPATCH(R, C, restrict_residual_of_half_eight_, n, start, columns, half, (const lanes8*)x,
+           (const lanes8*)b, p_start, p_columns, p, (lanes8*)coarse, (lanes8*)y);
   return 0;
 }

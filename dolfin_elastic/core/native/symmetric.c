@@ -19,7 +19,8 @@ INLINE void multiply(const int both, int64_t n, const int64_t* start, const int3
 {
   memset(y, 0, sizeof(double) * DIM * n);
 #if DIM == 3
-  multiply_three(both, n, start, columns, high, low, x, y);
+  for (int64_t i = 0; i < n; i++)
+    multiply_row_of_three(both, i, n, start, columns, high, low, x, y);
 #else
   for (int64_t i = 0; i < n; i++)
   {

@@ -6,9 +6,7 @@ the blocks.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from functools import partial
-from typing import TypeAlias
+from collections.abc import Iterator
 
 import numpy as np
 from petsc4py import PETSc
@@ -187,10 +185,6 @@ def _rooms(A: BlockRows) -> Iterator[tuple[int, int, FloatArray]]:
         yield first, count, work[: A.start[first + count] - A.start[first]]
 
 
-Times: TypeAlias = Callable[[FloatArray, FloatArray], object]
-"""Writes A x to its second argument, of owned nodes; x is of owned nodes and ghosts."""
-
-
 class PetscRows(BlockRows):
     """The blocks of an AIJ matrix, which are made a part at a time. Collective to make.
 
@@ -274,6 +268,10 @@ class _HalfPattern(BlockRows):
         """See `BlockRows.pattern`; made when it is needed, which products do not."""
         return self._in_full()[:2]
 
+    def forget_pattern(self) -> None:
+        """Frees that of rows in full. Local."""
+        self._full = None
+
     def _in_full(self) -> tuple[IntArray, IndexArray, IndexArray]:
         if self._full is None:
             self._full = in_full(*self._half, self._loops)
@@ -307,16 +305,10 @@ class HalfRows(_HalfPattern):
         loops.call("product_of_half", self.R, self.rows, *matrix, x, y)
         return y
 
-    def rounded_times(self) -> Times:
-        """Products in single precision, which take the blocks over. Local."""
-        self._full = None
-        loops, sizes = self._loops, (self.R, self.rows)
-        matrix = (*self._half, into_single_precision(self.take_blocks(), loops), self.halo.size)
-
-        def times(x: FloatArray, y: FloatArray) -> None:
-            loops.call(of_width("rounded_product_of_half", x), *sizes, *matrix, x, y)
-
-        return times
+    def rounded(self) -> tuple[IntArray, IndexArray, SingleArray]:
+        """Where rows begin, columns, and blocks in single precision, taken over. Local."""
+        self.forget_pattern()
+        return (*self._half, into_single_precision(self.take_blocks(), self._loops))
 
 
 class SymmetricRows(_HalfPattern):
@@ -348,11 +340,6 @@ class SymmetricRows(_HalfPattern):
         y = np.empty((self.rows, self.R))
         self.half.times(x, y, rounded=True)
         return y
-
-    def rounded_times(self) -> Times:
-        """See `HalfRows.rounded_times`; those of the tangent of the moment."""
-        self._full = None
-        return partial(self.half.times, rounded=True)
 
     def _halo_of_its_own(self) -> Halo:
         return Halo(self.halo.comm, self.halo.owned, self.halo.ghosts)

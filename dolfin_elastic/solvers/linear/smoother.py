@@ -43,7 +43,7 @@ def random_vector(first: int, count: int) -> FloatArray:
 
 
 Arrays: TypeAlias = tuple[IntArray, IndexArray, SingleArray]
-"""Of an interpolation: where rows begin, columns, and blocks."""
+"""Where rows begin, columns, and blocks."""
 
 DAMPING = 1.7
 """Step of block Jacobi, over the largest eigenvalue of D^-1 A."""
@@ -161,7 +161,10 @@ class Smoother:
         self._scaled *= np.float32(DAMPING / self.largest)
 
     def _take(self, A: BlockRows) -> None:
-        self._matrix = (A.start, A.columns, taken_in_single_precision(A, self._loops))
+        self._matrix: Arrays = (A.start, A.columns, taken_in_single_precision(A, self._loops))
+
+    def _rows(self) -> Arrays:
+        return self._matrix
 
     def from_zero(self, b: FloatArray) -> None:
         """The first iterate, from zero. Collective."""
@@ -181,10 +184,15 @@ class Smoother:
             b: Right-hand side, of owned nodes.
             coarse: At all coarse nodes here, is added to; with room as in `room_for`.
         """
+        self._restrict("restrict_residual", b, P, coarse)
+
+    def _restrict(
+        self, loop: str, b: FloatArray, P: Arrays, coarse: FloatArray, *room: FloatArray
+    ) -> None:
         (R, n), C = self.sizes, coarse.shape[1]
-        matrix = (*self._matrix, len(self.x), self.x, b)
+        matrix = (*self._rows(), len(self.x), self.x, b)
         out = (len(coarse), with_room(coarse))
-        self._call("restrict_residual", b, R, C, n, *matrix, *P, *out)
+        self._call(loop, b, R, C, n, *matrix, *P, *out, *room)
 
     def once_more(self, b: FloatArray) -> FloatArray:
         """The next iterate, of owned nodes; valid until the next call. Collective."""
@@ -195,8 +203,11 @@ class Smoother:
         return self._y
 
     def _smooth(self, b: FloatArray) -> None:
+        self._improve("smooth", b)
+
+    def _improve(self, loop: str, b: FloatArray) -> None:
         x = (len(self.x), self.x)
-        self._call("smooth", b, *self.sizes, *self._matrix, self._scaled, *x, b, self._y)
+        self._call(loop, b, *self.sizes, *self._rows(), self._scaled, *x, b, self._y)
 
     def _call(self, name: str, b: FloatArray, *arguments: int | AnyArray) -> None:
         self._loops.call(of_width(name, b), *arguments)
@@ -213,20 +224,15 @@ class HalvedSmoother(Smoother):
     """The same for a matrix by the half of its blocks. Collective to make."""
 
     def _take(self, A: BlockRows) -> None:
-        assert isinstance(A, HalfRows | SymmetricRows)
-        self._times = A.rounded_times()
+        assert isinstance(A, HalfRows)
+        self._matrix = A.rounded()
 
     def restrict(self, b: FloatArray, P: Arrays, coarse: FloatArray) -> None:
         """See `Smoother.restrict`."""
-        self._times(self.x, self._y)
-        np.subtract(b, self._y, out=self._y)
-        (R, n), C = self.sizes, coarse.shape[1]
-        out = (len(coarse), with_room(coarse))
-        self._call("restrict_vector", b, R, C, n, *P, self._y, *out)
+        self._restrict("restrict_residual_of_half", b, P, coarse, self._y)
 
     def _smooth(self, b: FloatArray) -> None:
-        self._times(self.x, self._y)
-        self._call("correct", b, *self.sizes, self._scaled, self.x, b, self._y)
+        self._improve("smooth_of_half", b)
 
 
 class TangentSmoother(HalvedSmoother):
@@ -241,8 +247,11 @@ class TangentSmoother(HalvedSmoother):
 
     def _take(self, A: BlockRows) -> None:
         assert isinstance(A, SymmetricRows)
-        super()._take(A)
+        A.forget_pattern()
         self._tangent, self._version = A.half, A.half.version
+
+    def _rows(self) -> Arrays:
+        return self._tangent.start, self._tangent.columns, self._tangent.high
 
     def renew(self) -> None:
         """See `Smoother.renew`."""
