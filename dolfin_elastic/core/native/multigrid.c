@@ -1290,21 +1290,26 @@ INLINE void multiply_row_of_half_eight(const int R, int64_t i, int64_t n, const 
                                        const int32_t* columns, const float* half, const lanes8* x,
                                        lanes8* y)
 {
-  lanes8 s[R], own[R];
+  lanes8 s[R];
   for (int r = 0; r < R; r++)
-  {
     s[r] = (lanes8){0.0};
-    own[r] = x[i * R + r];
-  }
-  row_times_eight(R, start[i], start[i + 1], columns, half, x, s);
   for (int64_t k = start[i]; k < start[i + 1]; k++)
-    for (int c = 0; columns[k] > i && columns[k] < n && c < R; c++)
+  {
+    const int64_t j = columns[k];
+    const int both = j > i && j < n;
+    for (int c = 0; c < R; c++)
     {
       lanes8 t = {0.0};
       for (int r = 0; r < R; r++)
-        t += (double)half[(k * R + c) * R + r] * own[r];
-      y[(int64_t)R * columns[k] + c] += t;
+      {
+        const double a = half[(k * R + c) * R + r];
+        s[r] += a * x[j * R + c];
+        t += a * x[i * R + r];
+      }
+      if (both)
+        y[j * R + c] += t;
     }
+  }
   for (int r = 0; r < R; r++)
     y[i * R + r] += s[r];
 }
