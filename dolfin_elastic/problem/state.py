@@ -160,7 +160,7 @@ class State:
         limit_errors: Estimated errors of these load factors.
         numbers: Further results by name in SI units, for example of probes or the volume of a
             cavity.
-        audit: The audit of the step; None with explicit schemes.
+        audit: The audit of the step; None of explicit states between, and where nothing is judged.
         failure: Why nothing of the run so far is to be relied on, with the time of the worst; empty
             where nothing is known against it.
         done: Completed share of the whole run, 0 to 1.

@@ -211,6 +211,7 @@ SHARED = {
     "solvers/linear/test_surface_means.py",
     "solvers/audit/test_audit.py",
     "solvers/dynamics/explicit/test_explicit.py",
+    "solvers/dynamics/explicit/test_explicit_audit.py",
     "solvers/dynamics/explicit/test_explicit_damping.py",
     "solvers/dynamics/explicit/test_explicit_loop.py",
     "solvers/dynamics/explicit/test_impact.py",

@@ -35,7 +35,7 @@ from dolfin_elastic.solvers.audit.violations import (
     add_worse,
 )
 from dolfin_elastic.solvers.messages import count
-from dolfin_elastic.solvers.nonlinear.jacobian import JacobianWatch, SmallStrains
+from dolfin_elastic.solvers.nonlinear.jacobian import Extreme, JacobianWatch, SmallStrains
 
 FORCE_TOLERANCE = 1e-6
 """Unbalanced share of the forces up to which they balance: a hundred times what Newton's method
@@ -270,14 +270,7 @@ class EquilibriumAuditor:
         low, high = self._watch.extremes()
         inverted = self._watch.inverted() if self._watch.survives else None
         if not low[0] > 0.0:
-            J, place = low[0], self._problem.body.unit.point(low[1])
-            violation = Violation(f"an element is inside out: det F = {J:.3g} at {place}", -J)
-            if inverted is not None:
-                cells = count(self._problem.body.num_cells, "element")
-                violation = Violation(
-                    f"{inverted} of {cells} inverted, smallest det F = {J:.3g} at {place}", -J
-                )
-            reasons["jacobian"] = violation
+            reasons.update(self._inside_out(low, inverted))
         if reasons:
             self._violations.add(reasons, self._when(t))
         audit = Audit(
@@ -290,6 +283,20 @@ class EquilibriumAuditor:
             notes=self._notes(),
         )
         return self._violations.judged(audit, reasons) if self._violations.worst else audit
+
+    def _inside_out(self, low: Extreme, inverted: int | None) -> Violations:
+        """What speaks against a state with inverted cells. Not collective.
+
+        Args:
+            low: Smallest det F, and its place [m].
+            inverted: Number of these cells, where a law survives that.
+        """
+        J, place = low[0], self._problem.body.unit.point(low[1])
+        text = f"an element is inside out: det F = {J:.3g} at {place}"
+        if inverted is not None:
+            cells = count(self._problem.body.num_cells, "element")
+            text = f"{inverted} of {cells} inverted, smallest det F = {J:.3g} at {place}"
+        return {"jacobian": Violation(text, -J)}
 
     def restart_state(self) -> dict[str, Any]:
         """See `Restartable`; forces follow from the state itself. Not collective."""

@@ -21,6 +21,7 @@ from dolfin_elastic.problem.problem import Problem, results_of
 from dolfin_elastic.problem.state import RestartState, SavedState, State, StateCopy, restoring
 from dolfin_elastic.solvers.assembly.assembler import Assembler, SupportForces
 from dolfin_elastic.solvers.assembly.energy_momentum import LumpedMass, lumped
+from dolfin_elastic.solvers.dynamics.explicit.audit import ExplicitAuditor
 from dolfin_elastic.solvers.dynamics.explicit.damper import Damper, sees_velocity
 from dolfin_elastic.solvers.dynamics.explicit.mass_scaling import scaled
 from dolfin_elastic.solvers.dynamics.explicit.monitor import StabilityMonitor
@@ -149,6 +150,7 @@ class Explicit:
         if sees_velocity(self._damper):  # bulk viscosity shortens the first step, too
             show_velocity(problem.context, v.x.array[: len(self.mass)])
         self.size.begin(self.end)
+        self._auditor = ExplicitAuditor(problem, a, self._monitor, self.mass)
         first = min(self.size.dt, self.end)
         self.work.damper = self._damper
         self.scheme = scheme(
@@ -186,7 +188,7 @@ class Explicit:
         self.scheme.start()
         first = self._checked_state()
         self._drifts(first)
-        return first
+        return self._audited(first)
 
     def _march(self) -> Iterator[State]:
         self._last.save(self.restart_state())
@@ -204,7 +206,7 @@ class Explicit:
                 if self._drifts(state):
                     self.size.check_before(self.scheme.steps)
                 self._last.save(self.restart_state())
-                yield from self._shown(replace(state, failure=self._monitor.failure))
+                yield from self._shown(self._audited(state))
                 shown = monotonic()
             elif self.scheme.steps % STEPS_A_LOOK == 0 and _due_between(comm, shown):
                 yield from self._shown(self._state_between())
@@ -280,6 +282,11 @@ class Explicit:
         excess = self.scheme.conserved_excess(self.size.dt)
         return self._monitor.drifts(state.energies, excess, state.t)
 
+    def _audited(self, state: State) -> State:
+        """A state with its audit, of whose energy `_drifts` has judged before. Collective."""
+        audit = self._auditor.judge(state.t, state.energies, self.size.stable)
+        return replace(state, audit=audit, failure=self._monitor.failure)
+
     @np.errstate(all="ignore")  # a state that is not finite is reported when it is found
     def step(self) -> None:
         """One step; the stable step is found anew before it where that is due. Collective."""
@@ -321,7 +328,7 @@ class Explicit:
         measures = self._energies.measure()
         if not self._energies.finite(measures[0], self.scheme.out_of_balance):
             raise Replay(self, self._monitor, self._last).not_finite()
-        self._monitor.observe(self.scheme.t, last=self._ended)
+        self._monitor.observe(self.scheme.t)
         return self._state(measures)
 
     def _state(self, measures: Measures) -> State:
@@ -359,6 +366,7 @@ class Explicit:
             "friction": self.work.friction,
             "damping": self.work.damping,
             "lookout": self._monitor.restart_state(),
+            "initial": self._auditor.initial,
             **self.size.restart_state(),
         }
         history = self.problem.history
@@ -385,6 +393,7 @@ class Explicit:
             history.restore(past, numbers["history"])
         self.every = numbers["every"]
         self._monitor.restore(numbers["lookout"])
+        self._auditor.initial = numbers.get("initial", np.nan)
         self.size.restore(numbers)
         remaining = float(numbers.get("remaining", 0.0))  # older checkpoints are all of states
         self.scheme.resume(float(numbers["t"]), int(numbers["step"]), remaining)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Mapping
 from typing import Any
 
@@ -21,13 +20,13 @@ from dolfin_elastic.solvers.messages import (
 )
 from dolfin_elastic.solvers.nonlinear.jacobian import JacobianWatch, SmallStrains
 
-log = logging.getLogger("dolfin_elastic")
-
 DRIFT = 0.1
 """Share of the largest energy so far by which the conserved energy may drift."""
 
-INTERVAL = 8
-"""States from one check of det F to the next: it costs about as much as a step."""
+DRIFTS = (
+    "more than a tenth of the energy has come from nowhere, or got lost: the step is too long for "
+    "what happens; try a smaller dt or safety"
+)
 
 RESISTS = "smaller loads, or a law that resists, such as neo-hookean"
 
@@ -37,7 +36,9 @@ class StabilityMonitor:
 
     Attributes:
         watch: Of det F.
+        small: Of the size of strains.
         nonlinear: Some law is nonlinear, so that det F means something.
+        violations: What speaks against the run.
         inverted: The warning of cells inside out; empty before.
         place: Where det F was smallest then, undeformed [m].
     """
@@ -45,33 +46,30 @@ class StabilityMonitor:
     def __init__(self, problem: Problem, assembler: Assembler) -> None:
         self._problem, self._assembler = problem, assembler
         self.watch = JacobianWatch(problem)
-        self._small = SmallStrains(problem, self.watch)
+        self.small = SmallStrains(problem, self.watch)
         self.nonlinear = any(not part.law.linear for part in problem.regions)
-        self._states, self.inverted, self._warned = 0, "", False
+        self.inverted = ""
         self.place: tuple[float, ...] = ()
         self._first: FloatArray | None = None
         self._start, self._largest_energy = 0.0, 0.0
-        self._violations = WorstViolations()
+        self.violations = WorstViolations()
 
     @property
     def failure(self) -> str:
         """See `State`."""
-        return next(iter(self._violations.texts()), "")
+        return self.violations.texts()[0] if self.violations.verdict() == "fail" else ""
 
-    def observe(self, t: float, *, last: bool) -> None:
-        """Checks det F and the size of strains, every `INTERVAL` states. Collective.
+    def observe(self, t: float) -> None:
+        """Checks det F and the size of strains. Collective.
 
         Laws without a barrier have finite forces in inverted cells.  For linear laws det F has no
         meaning: only their strains are checked.
 
         Args:
             t: Time [s].
-            last: It is the last state, which is always checked.
         """
-        if self._states % INTERVAL == 0 or last:
-            self._small.check(f"t = {t:.6g} s")
-            self._check_jacobian(t)
-        self._states += 1
+        self.small.check(f"t = {t:.6g} s")
+        self._check_jacobian(t)
 
     def _check_jacobian(self, t: float) -> None:
         if self.inverted or not self.nonlinear:
@@ -82,15 +80,12 @@ class StabilityMonitor:
         self.place = tuple(float(x) for x in place[: self._problem.body.dim])
         what = f"det F = {J:.3g} at {self._problem.body.unit.point(self.place)}"
         self.inverted = f"elements had turned inside out by t = {t:.6g} s, {what}"
-        if blind_to_inversion(self._problem, Cells(self._assembler).worst()):
+        blind = blind_to_inversion(self._problem, Cells(self._assembler).worst())
+        text = f"{self.inverted}: the law permits it, but no body does so: {RESISTS}"
+        if blind:
             text = f"{self.inverted}: {MIRRORED}; {SEES_INVERSION}"
-            self._violations.add({"inverted": Violation(text, -J, fails=True)}, f"t = {t:.6g} s")
-            return
-        log.warning(
-            "%s: the law permits it, but no body does so: %s",
-            self.inverted,
-            RESISTS,
-        )
+        violation = Violation(text, -J, fails=blind)
+        self.violations.add({"inverted": violation}, f"t = {t:.6g} s")
 
     def drifts(self, energies: Mapping[str, float], conserved_excess: float, t: float) -> bool:
         """Whether energy may have appeared or been lost; warns if it certainly has. Collective.
@@ -119,13 +114,9 @@ class StabilityMonitor:
         if seems or drifts:
             self._first = np.where([seems, drifts], now, self._first)  # each drift counts once
             self._check_jacobian(t)  # inverted cells explain the drift
-        if drifts and not (self._warned or self.inverted):
-            self._warned = True
-            log.warning(
-                "more than a tenth of the energy has come from nowhere, or got lost, by "
-                "t = %.4g s: the step is too long for what happens; try a smaller dt or safety",
-                t,
-            )
+        if drifts and not self.inverted and "energy" not in self.violations.worst:
+            off = abs(float(now[1]) - self._start) / self._largest_energy
+            self.violations.add({"drift": Violation(DRIFTS, off)}, f"t = {t:.6g} s")
         return bool(seems or drifts)
 
     def _judge(self, gain: float, t: float) -> None:
@@ -139,7 +130,7 @@ class StabilityMonitor:
             return  # a law without an energy has no balance of it
         share = gain / self._largest_energy
         what = f"{100 * share:.3g} % of the energy has come from nowhere: a smaller dt or safety"
-        self._violations.add({"energy": Violation(what, share, fails=True)}, f"t = {t:.6g} s")
+        self.violations.add({"energy": Violation(what, share, fails=True)}, f"t = {t:.6g} s")
 
     def loads_changed(self, excess: float) -> None:
         """Takes in what a program's change of the loads does to the conserved energy. Collective.
@@ -175,25 +166,22 @@ class StabilityMonitor:
     def restart_state(self) -> dict[str, Any]:
         """See `Restartable`. Not collective."""
         return {
-            "far": self._small.note,
+            "far": self.small.note,
             "inside_out": self.inverted,
             "place": list(self.place),
-            "told": self._warned,
-            "states": self._states,
             "first": [] if self._first is None else self._first.tolist(),
             "most": self._largest_energy,
             "start": self._start,
-            "violations": self._violations.restart_state(),
+            "violations": self.violations.restart_state(),
         }
 
     def restore(self, saved: Mapping[str, Any]) -> None:
         """See `Restartable`. Not collective."""
-        self._small.restore(saved["far"])
+        self.small.restore(saved["far"])
         self.inverted = saved["inside_out"]
         self.place = tuple(saved["place"])
-        self._warned, self._largest_energy = saved["told"], saved["most"]
-        self._states = int(saved["states"])
+        self._largest_energy = saved["most"]
         first = saved["first"]
         self._first = np.array(first) if first else None
         self._start = float(saved.get("start", first[1] if first else 0.0))
-        self._violations.restore(saved.get("violations", {}))
+        self.violations.restore(saved.get("violations", {}))
