@@ -337,15 +337,19 @@ def show_end(
     screen.tell(f" time: {_times(seconds)}")
 
 
-_ENERGIES = {"damping": "dissipated by damping", "external": "work of loads and supports"}
+_ENERGIES = {
+    "damping": "dissipated by damping",
+    "bulk_viscosity": "of it by bulk viscosity",
+    "external": "work of loads and supports",
+}
 
 
 def _end_rows(state: State, motion: bool, most: float = 0.0) -> list[tuple[str, str]]:
     when = " at the end" if motion or state.max_displacement < most / 2 else ""
     rows = [(f"largest displacement{when}", state.unit.length(state.max_displacement, 5))]
-    for name in ("strain", "kinetic", "contact", "total", "damping", "external"):
+    for name in ("strain", "kinetic", "contact", "total", *_ENERGIES):
         known = math.isfinite(state.energies.get(name, math.nan))
-        nothing = name == "damping" and not state.energies.get(name)
+        nothing = name != "external" and name in _ENERGIES and not state.energies.get(name)
         if known and not nothing and (motion or name == "strain"):
             label = _ENERGIES.get(name, f"{name} energy")
             rows.append((label, f"{state.energies[name]:.5g} J"))
@@ -357,6 +361,8 @@ def _end_rows(state: State, motion: bool, most: float = 0.0) -> list[tuple[str, 
             rows.append(
                 (f"displacement of {column.removeprefix(head)}", state.unit.length(value, 5))
             )
+    if added := state.numbers.get("added_mass_fraction"):
+        rows.append(("mass added by scaling", percent(added)))
     if (strain := state.numbers.get("max_plastic_strain")) is not None:
         share = percent(state.numbers["yielded_fraction"])
         rows.append(("yielded", f"{share} of the volume, plastic strain up to {strain:.3g}"))

@@ -299,6 +299,7 @@ def _audit_lines(audit: Table, summary: Table) -> Iterator[str]:
             f"Work of loads and supports: {quantity(work, 'J')}; energy in the body: "
             f"{quantity(stored, 'J')}."
         )
+    yield from _damping_lines(summary)
     for key, what in (("min_jacobian", "most compressed"), ("max_jacobian", "most expanded")):
         row = audit.get(key)
         if isinstance(row, Mapping) and isinstance(row.get("value"), int | float):
@@ -308,6 +309,20 @@ def _audit_lines(audit: Table, summary: Table) -> Iterator[str]:
     limits = [x for x in summary.get("limit_points") or [] if isinstance(x, int | float)]
     if limits:
         yield f"Limit points were passed at the load factors {', '.join(map(number, limits))}."
+
+
+def _damping_lines(summary: Table) -> Iterator[str]:
+    """What damping has dissipated in a motion, and which mass was added for its step."""
+    energies, numbers = summary.get("energies"), summary.get("numbers")
+    lost = energies.get("damping") if isinstance(energies, Mapping) else None
+    if isinstance(energies, Mapping) and isinstance(lost, int | float) and lost > 0:
+        bulk = energies.get("bulk_viscosity")
+        known = isinstance(bulk, int | float) and bulk > 0
+        of = f", {quantity(bulk, 'J')} of it bulk viscosity" if known else ""
+        yield f"Damping has dissipated {quantity(lost, 'J')}{of}."
+    added = numbers.get("added_mass_fraction") if isinstance(numbers, Mapping) else None
+    if isinstance(added, int | float):
+        yield f"Mass scaling has added {percent(added)} of the mass: inertia without weight."
 
 
 def _reservations(summary: Table) -> Iterator[str]:

@@ -41,7 +41,8 @@ class HistoryWriter:
       ``external_energy`` (work of the loads so far), ``total_energy``, and where there are such
       ``relaxing_energy`` and
       ``remembered_energy`` (parts of the strain energy), ``springs_energy``, ``contact_energy``,
-      ``damping_energy`` and ``dashpots_energy`` (lost so far), ``friction_energy`` (the work
+      ``damping_energy``, ``bulk_viscosity_energy`` (part of it) and ``dashpots_energy`` (lost so
+      far), ``friction_energy`` (the work
       against it), ``potential_energy`` (of dead loads), ``balance_energy`` (the energy error),
     * ``reaction_<support>_x``, ``_y``, ``_z`` [N] for each support,
     * further results by name, for example of probes, moments, obstacles and cavities,

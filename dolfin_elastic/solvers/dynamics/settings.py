@@ -16,7 +16,7 @@ from dolfin_elastic.core.schema import (
     refuse_times_beyond,
     refuse_unused_keys,
 )
-from dolfin_elastic.core.units import Force, Rate, Time
+from dolfin_elastic.core.units import Force, Number, Rate, Time
 from dolfin_elastic.model.values import Component, components, depends_on_time
 from dolfin_elastic.solvers.dynamics.implicit.generalized_alpha import GeneralizedAlphaParameters
 from dolfin_elastic.solvers.dynamics.implicit.output_times import Interval
@@ -78,20 +78,25 @@ class Rayleigh(Record):
 
 
 class BulkViscosityFactors(Record):
-    """Bulk viscosity, see `problem.bulk_viscosity`; true stands for the usual factors.
+    """Bulk viscosity, see `problem.bulk_viscosity`.
+
+    True stands for the usual factors, a number for the linear one beside the usual quadratic one.
 
     Attributes:
         linear: b1, by default 0.06.
         quadratic: b2, by default 1.2.
     """
 
-    linear: float = Field(default=0.06, ge=0)
-    quadratic: float = Field(default=1.2, ge=0)
+    linear: Number = Field(default=0.06, ge=0)
+    quadratic: Number = Field(default=1.2, ge=0)
 
     @model_validator(mode="before")
     @classmethod
     def _short(cls, value: object) -> object:
-        return {} if value is True else value
+        if value is True:
+            return {}
+        number = isinstance(value, int | float | str) and not isinstance(value, bool)
+        return {"linear": value} if number else value
 
 
 MOST_STEPS = 1e9
@@ -185,7 +190,7 @@ class DynamicsSettings(Record):
     gamma: float | None = Field(default=None, ge=0.5)
     rayleigh: Rayleigh | None = None
     bulk_viscosity: BulkViscosityFactors | None = None
-    mass_scaling: float | None = Field(default=None, gt=0, le=1)
+    mass_scaling: Number | None = Field(default=None, gt=0, le=1)
     preload: bool = False
     start: MotionStart | None = None
     initial_displacement: list[Any] = Field(default=[])

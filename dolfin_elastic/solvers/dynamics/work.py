@@ -9,7 +9,7 @@ work does not follow from two states, because one such force costs as much as an
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import Protocol
 
@@ -33,8 +33,13 @@ from dolfin_elastic.solvers.dynamics.residual import DynamicResidual, Forces
 class Damper(Protocol):
     """Damping whose work is summed up."""
 
-    def take(self) -> float:
-        """This rank's share of the work since the last call [J]. Not collective."""
+    @property
+    def viscous(self) -> bool:
+        """There is bulk viscosity."""
+
+    def take(self) -> FloatArray:
+        """This rank's part of the work since the last call, of all damping and of bulk viscosity
+        [J]. Not collective."""
 
 
 Measures = tuple[dict[str, float], dict[str, FloatArray]]
@@ -341,7 +346,7 @@ class ExternalWork:
     Attributes:
         sum: The work at the last state asked for [J].
         friction: What friction has taken up until then [J], see `EnergyBalance`.
-        damping: What damping has [J].
+        damping: What damping has, all of it and bulk viscosity [J].
         damper: Sums that up; None without.
         paths: Work that is summed up step by step.
     """
@@ -372,7 +377,7 @@ class ExternalWork:
             if term.pose is not None and not term.at_rest:
                 self._add_term(term)
         self.damper: Damper | None = None
-        self.damping = 0.0
+        self.damping: FloatArray = np.zeros(2)
         self._rubs = problem.terms.dissipates
         for term in problem.terms:
             if term.dissipates:
@@ -403,15 +408,17 @@ class ExternalWork:
         forces = self._forces[-1].assemble
         self.paths.append(_Path(forces, obstacle, self._middle, past=past))
 
-    def begin(self, work: float = 0.0, friction: float = 0.0, damping: float = 0.0) -> None:
+    def begin(
+        self, work: float = 0.0, friction: float = 0.0, damping: Sequence[float] = (0.0, 0.0)
+    ) -> None:
         """Takes in the state that the next step begins with. Collective.
 
         Args:
             work: Done so far [J].
             friction: What friction has taken up so far [J].
-            damping: What damping has [J].
+            damping: What all damping and bulk viscosity have [J].
         """
-        self.damping = damping
+        self.damping = np.array(damping)
         if self.damper is not None:
             self.damper.take()
         self.sum, self.friction, self._local, self._rubbed = work, friction, 0.0, 0.0
@@ -434,7 +441,7 @@ class ExternalWork:
         """
         for forces in self._forces:
             forces.pack_again()
-        self.begin(self.sum, self.friction, self.damping)
+        self.begin(self.sum, self.friction, self.damping.tolist())
 
     def step(self, du: FloatArray) -> None:
         """Adds the work of a step that has led to the present state. Collective.
@@ -466,7 +473,9 @@ class ExternalWork:
         """See `Work`. Collective."""
         result = {"external": self.close()}
         if self.damper is not None:
-            result["damping"] = self.damping
+            result["damping"] = float(self.damping[0])
+            if self.damper.viscous:
+                result["bulk_viscosity"] = float(self.damping[1])
         return {**result, "friction": self.friction} if self._rubs else result
 
     def _of_state(self) -> float:

@@ -41,7 +41,8 @@ class Damper:
         bulk: None without bulk viscosity.
 
     Attributes:
-        local: Work that it has done against this rank's nodes since `take` [J].
+        local: Work that it has done against this rank's nodes since `take`, of all damping and of
+            bulk viscosity [J].
     """
 
     def __init__(
@@ -53,7 +54,8 @@ class Damper:
         rate: float,
         bulk: BulkViscosity | None,
     ) -> None:
-        self.rate, self.local, self._problem, self._assembler = rate, 0.0, problem, assembler
+        self.rate, self._problem, self._assembler = rate, problem, assembler
+        self.local: FloatArray = np.zeros(2)
         self._drag, self._mass = rate * mass, mass
         self._drag[problem.constraints.prescribed_dofs] = 0.0  # what moves there is prescribed
         self._forces: Forces | None = None
@@ -62,7 +64,7 @@ class Damper:
             vector = la.vector(dofmap.index_map, dofmap.index_map_bs)
             self._forces = Forces(problem, bulk.work(), vector)
             self._bound = compiled(problem, [bulk.bound()])[0]
-        self._before: FloatArray = np.zeros(len(mass))
+        self._before: FloatArray = np.zeros((2, len(mass)))
 
     @property
     def viscous(self) -> bool:
@@ -107,13 +109,15 @@ class Damper:
             du: Change of the displacement, owned entries [m].
         """
         before, self._before = self._before, self._now(v)
-        self.local += float(np.dot(before + self._before, du)) / 2
+        self.local += (before + self._before) @ du / 2
 
     def _now(self, v: FloatArray) -> FloatArray:
+        """Forces of all damping, and of bulk viscosity, shape (2, entries) [N]."""
         drag = self._drag * v
-        return drag if self._forces is None else drag + self._forces.owned
+        bulk = np.zeros_like(drag) if self._forces is None else self._forces.owned
+        return np.stack([drag + bulk, bulk])
 
-    def take(self) -> float:
+    def take(self) -> FloatArray:
         """`local`, which begins anew [J]."""
-        local, self.local = self.local, 0.0
+        local, self.local = self.local, np.zeros(2)
         return local

@@ -364,7 +364,8 @@ class Explicit:
             "every": self.every,
             "work": self.work.sum,
             "friction": self.work.friction,
-            "damping": self.work.damping,
+            "damping": float(self.work.damping[0]),
+            "bulk_viscosity": float(self.work.damping[1]),
             "lookout": self._monitor.restart_state(),
             "initial": self._auditor.initial,
             **self.size.restart_state(),
@@ -397,8 +398,9 @@ class Explicit:
         self.size.restore(numbers)
         remaining = float(numbers.get("remaining", 0.0))  # older checkpoints are all of states
         self.scheme.resume(float(numbers["t"]), int(numbers["step"]), remaining)
-        lost = (float(numbers.get(name, 0.0)) for name in ("friction", "damping"))
-        self.work.begin(float(numbers["work"]), *lost)
+        names = ("friction", "damping", "bulk_viscosity")
+        rubbed, *damped = (float(numbers.get(name, 0.0)) for name in names)
+        self.work.begin(float(numbers["work"]), rubbed, damped)
         self.scheme.begin_damping()
 
     def destroy(self) -> None:

@@ -25,6 +25,7 @@ from dolfin_elastic.mesh import Body
 from dolfin_elastic.solvers.dynamics.explicit.explicit import Explicit, ExplicitOptions
 from dolfin_elastic.solvers.dynamics.explicit.mass_scaling import _advice
 from dolfin_elastic.solvers.dynamics.explicit.scheme import CentralDifferences
+from dolfin_elastic.solvers.dynamics.settings import BulkViscosityFactors, DynamicsSettings
 
 FREE, SCHEME = "free", "central-differences"
 E, NU, RHO = 1e7, 0.3, 1000.0
@@ -274,6 +275,37 @@ def test_without_thin_elements_nothing_is_added() -> None:
     march = block(1.0, mass_scaling=0.01, dt=dt)
     assert next(march.run()).numbers == {"added_mass_fraction": 0.0}
     march.destroy()
+
+
+def lost(**damping: Any) -> dict[str, float]:
+    """Energies at the end of a free block that spins and vibrates."""
+    body = box_body(size=(1, 1, 1), cells=(2, 2, 2))
+    problem = Problem(body, LinearElastic(E=E, nu=NU, density=RHO), degree=1)
+    start = {"initial_velocity": ["x^2", "y*x", 0]}
+    *_, state = Dynamics(problem, scheme=SCHEME, end=0.05, **start, **damping).steps()
+    return dict(state.energies)
+
+
+def test_what_each_damping_takes() -> None:
+    """All is bulk viscosity's without another damping, and nothing where its factors are zero."""
+    bulk = lost(bulk_viscosity=True)
+    assert bulk["damping"] == bulk["bulk_viscosity"] > 0.0
+    mass = lost(rayleigh=[20.0, 0])
+    assert "bulk_viscosity" not in mass
+    both = lost(rayleigh=[20.0, 0], bulk_viscosity={"linear": 0.0, "quadratic": 0.0})
+    assert both["bulk_viscosity"] == 0.0
+    assert both["damping"] == pytest.approx(mass["damping"], rel=1e-9)  # their steps are the same
+
+
+def test_short_forms() -> None:
+    given = {"scheme": SCHEME, "bulk_viscosity": 0.1, "mass_scaling": "1 %", "end": 1.0}
+    settings = DynamicsSettings.model_validate(given)
+    assert settings.bulk_viscosity == BulkViscosityFactors(linear=0.1, quadratic=1.2)
+    assert settings.mass_scaling == 0.01
+    again = {**given, "bulk_viscosity": "10 %", "mass_scaling": 0.01}
+    assert DynamicsSettings.model_validate(again) == settings
+    with pytest.raises(InputError, match="bulk_viscosity"):
+        Dynamics(oscillator(), **{**given, "bulk_viscosity": False})
 
 
 @pytest.mark.parametrize(
