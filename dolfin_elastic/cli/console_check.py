@@ -64,6 +64,7 @@ def _head(report: Report, size: Lengths) -> list[tuple[str, str]]:
         ("extent", size.text(*report.extent)),
         *([] if report.thickness is None else [("thickness", size.text(report.thickness))]),
         ("analysis", f"{report.analysis}{by}, {elements} elements, {report.unknowns} unknowns"),
+        *(("damping", text) for text in report.damping),
         ("equations", report.linear_solver),
         ("memory", f"about {report.memory.total / 1e9:.2g} GB of all ranks together"),
     ]

@@ -317,8 +317,9 @@ def _damping_lines(summary: Table) -> Iterator[str]:
     lost = energies.get("damping") if isinstance(energies, Mapping) else None
     if isinstance(energies, Mapping) and isinstance(lost, int | float) and lost > 0:
         bulk = energies.get("bulk_viscosity")
-        known = isinstance(bulk, int | float) and bulk > 0
-        of = f", {quantity(bulk, 'J')} of it bulk viscosity" if known else ""
+        of = ""
+        if isinstance(bulk, int | float) and bulk > 0:
+            of = f", {quantity(bulk, 'J')} of it bulk viscosity"
         yield f"Damping has dissipated {quantity(lost, 'J')}{of}."
     added = numbers.get("added_mass_fraction") if isinstance(numbers, Mapping) else None
     if isinstance(added, int | float):

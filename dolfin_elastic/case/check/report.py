@@ -10,6 +10,7 @@ from mpi4py import MPI
 from dolfin_elastic.case.case import Case, locate_errors
 from dolfin_elastic.case.check.cavities import cavity_notes
 from dolfin_elastic.case.check.consistency import check, run_notes
+from dolfin_elastic.case.check.damping import damping_of
 from dolfin_elastic.case.check.formulas import check_formulas
 from dolfin_elastic.case.check.initial_state import (
     ContactGap,
@@ -98,6 +99,7 @@ class Report:
         unknowns: Degrees of freedom on all ranks.
         analysis: "statics", "modal", "buckling" or "dynamics"; of several, with commas.
         scheme: Of dynamics; else empty.
+        damping: Ratios of Rayleigh's damping, bulk viscosity, and the mass that would be added.
         linear_solver: Which linear solver, and why.
         surfaces: The named surfaces, and the CAD faces that the case uses without a name.
         edges: The named edges of a solid.
@@ -128,6 +130,7 @@ class Report:
     unknowns: int
     analysis: str
     scheme: str
+    damping: tuple[str, ...]
     linear_solver: str
     surfaces: tuple[PartSize, ...]
     edges: tuple[PartSize, ...]
@@ -170,6 +173,7 @@ def report(case: Case, *, comm: MPI.Comm = MPI.COMM_WORLD) -> Report:
         reports[0],
         analysis=", ".join(one.analysis for one in reports),
         scheme=next((one.scheme for one in reports if one.scheme), ""),
+        damping=next((one.damping for one in reports if one.damping), ()),
         linear_solver="; ".join(solvers),
         notes=tuple(dict.fromkeys(note for one in reports for note in one.notes)),
         memory=max((one.memory for one in reports), key=lambda memory: memory.total),
@@ -283,6 +287,7 @@ def _make_report(case: Case, body: Body, problem: Problem, notes: tuple[str, ...
     sums = load_sums(case, integrals)
     choice = _solver_choice(case, problem)
     use = partial(references, case, body)
+    damping, doubts = damping_of(case, problem)
     return Report(
         case=case.file,
         title=case.title,
@@ -302,6 +307,7 @@ def _make_report(case: Case, body: Body, problem: Problem, notes: tuple[str, ...
         unknowns=problem.num_dofs,
         analysis=case.analysis,
         scheme=_moved_by(case, problem) if case.dynamics else "",
+        damping=tuple(damping),
         linear_solver="none: explicit scheme" if choice is None else choice.why,
         surfaces=surface_sizes(body, use, faces_used(case, body)),
         edges=lower_sizes(body, "edge", use),
@@ -311,6 +317,7 @@ def _make_report(case: Case, body: Body, problem: Problem, notes: tuple[str, ...
             *mesh_notes(case, body),
             *untied_notes(case, problem),
             *notes,
+            *doubts,
             *stability_notes(case),
             *locking_notes(body, problem.regions, problem.degree, problem.geometry),
             *bending_notes(case, problem),

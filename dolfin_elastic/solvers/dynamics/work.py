@@ -38,8 +38,10 @@ class Damper(Protocol):
         """There is bulk viscosity."""
 
     def take(self) -> FloatArray:
-        """This rank's part of the work since the last call, of all damping and of bulk viscosity
-        [J]. Not collective."""
+        """This rank's work since the last call, of all damping and of bulk viscosity [J].
+
+        Not collective.
+        """
 
 
 Measures = tuple[dict[str, float], dict[str, FloatArray]]
@@ -409,7 +411,10 @@ class ExternalWork:
         self.paths.append(_Path(forces, obstacle, self._middle, past=past))
 
     def begin(
-        self, work: float = 0.0, friction: float = 0.0, damping: Sequence[float] = (0.0, 0.0)
+        self,
+        work: float = 0.0,
+        friction: float = 0.0,
+        damping: Sequence[float] | FloatArray = (0.0, 0.0),
     ) -> None:
         """Takes in the state that the next step begins with. Collective.
 
@@ -441,7 +446,7 @@ class ExternalWork:
         """
         for forces in self._forces:
             forces.pack_again()
-        self.begin(self.sum, self.friction, self.damping.tolist())
+        self.begin(self.sum, self.friction, self.damping)
 
     def step(self, du: FloatArray) -> None:
         """Adds the work of a step that has led to the present state. Collective.

@@ -25,6 +25,7 @@ from math import ceil, floor, log10
 from typing import NamedTuple
 
 import numpy as np
+from mpi4py import MPI
 
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.parallel import largest_row, total
@@ -61,6 +62,81 @@ class ScaledMass(NamedTuple):
     numbers: dict[str, float]
 
 
+class Scaling(NamedTuple):
+    """By what the masses of nodes are multiplied.
+
+    Attributes:
+        factors: Of each owned node, at least 1.
+        fraction: Of the whole mass that is added.
+        nodes: Nodes of all ranks that get any.
+        needed: Fraction that would make thin elements no stiffer than the others.
+        before: Stable step by the bound of elements without added mass [s].
+        after: The same with it.
+    """
+
+    factors: FloatArray
+    fraction: float
+    nodes: int
+    needed: float
+    before: float
+    after: float
+
+
+def check_scaled(problem: Problem) -> None:
+    """Refuses problems without a bound by cells. Not collective.
+
+    Raises:
+        InputError: There is none.
+    """
+    if not FrequencyBound.applies(problem):
+        raise InputError(
+            "mass is added by the frequencies of elements, which are not known in bodies of "
+            "revolution, in curved elements and under loads that follow the body",
+            where="dynamics.mass_scaling",
+            expected="leave it out",
+        )
+
+
+def scaling(
+    comm: MPI.Comm, rates: FloatArray, nodal: FloatArray, *, most: float, dt: float | None
+) -> Scaling:
+    """What is added to the masses of nodes. Collective.
+
+    Args:
+        comm: The ranks of the run.
+        rates: Bounds of omega^2 at owned nodes [1/s^2].
+        nodal: Their masses [kg].
+        most: Largest fraction of the body's mass that may be added.
+        dt: The step that is to be stable [s]; None: as long as `most` permits.
+    """
+    whole = total(comm, float(nodal.sum()))
+
+    def factors(rate: float) -> FloatArray:
+        """Of the mass of each node, for a rate."""
+        if dt is not None:
+            return np.asarray(np.where(rates > (1 + NOTHING) * rate, rates / rate, 1.0))
+        return np.asarray(np.where(rates > THIN * rate, rates / (EASY * rate), 1.0))
+
+    def added(rate: float) -> float:
+        """Fraction of the whole mass."""
+        return float(total(comm, float(np.dot(nodal, factors(rate) - 1)))) / whole
+
+    worst = extremes(comm, [float(rates.max(initial=0.0))])[0]
+    if dt is not None:
+        rate = (2 * MARGIN / dt) ** 2
+        needed = added(rate)
+    else:
+        least = _median(comm, rates, worst)
+        needed = added(least)
+        rate = _lowest(added, least, worst, most) * (1 + ABOVE)
+    rate = float(f"{rate:.9e}")  # the same on any number of ranks
+    factor = factors(rate)
+    after = extremes(comm, [float((rates / factor).max(initial=0.0))])[0]
+    count = int(total(comm, int(np.sum(factor > 1.0))))
+    before, after = (2 / float(np.sqrt(max(one, 1e-300))) for one in (worst, after))
+    return Scaling(factor, added(rate), count, needed, before, after)
+
+
 def scaled(
     problem: Problem, assembler: Assembler, mass: FloatArray, *, most: float, dt: float | None
 ) -> ScaledMass:
@@ -76,64 +152,40 @@ def scaled(
     Raises:
         InputError: More would have to be added, or there is no bound by cells.
     """
-    if not FrequencyBound.applies(problem):
-        raise InputError(
-            "mass is added by the frequencies of elements, which are not known in bodies of "
-            "revolution, in curved elements and under loads that follow the body",
-            where="dynamics.mass_scaling",
-            expected="leave it out",
-        )
+    check_scaled(problem)
     u, dim = problem.u.x.array, problem.body.dim
     state = u.copy()
     u[:] = 0.0
     rates, nodal = FrequencyBound(problem, assembler, mass).evaluate(), mass[::dim]
     u[:] = state
-    comm, whole = problem.body.comm, total(problem.body.comm, float(nodal.sum()))
-
-    def factors(rate: float) -> FloatArray:
-        """Of the mass of each node, for a rate."""
-        if dt is not None:
-            return np.asarray(np.where(rates > (1 + NOTHING) * rate, rates / rate, 1.0))
-        return np.asarray(np.where(rates > THIN * rate, rates / (EASY * rate), 1.0))
-
-    def added(rate: float) -> float:
-        """Fraction of the whole mass."""
-        return float(total(comm, float(np.dot(nodal, factors(rate) - 1)))) / whole
-
-    worst = extremes(comm, [float(rates.max(initial=0.0))])[0]
-    if dt is not None:
-        rate = (2 * MARGIN / dt) ** 2
-    else:
-        least = _median(problem, rates, worst)
-        _tell_of_limit(added(least), most)
-        rate = _lowest(added, least, worst, most) * (1 + ABOVE)
-    rate = float(f"{rate:.9e}")  # the same on any number of ranks
-    factor = factors(rate)
-    fraction, count = added(rate), int(total(comm, int(np.sum(factor > 1.0))))
+    comm = problem.body.comm
+    found = scaling(comm, rates, nodal, most=most, dt=dt)
+    if dt is None:
+        _tell_of_limit(found.needed, most)
     coordinates = problem.places[:, :dim]
-    row = largest_row(comm, factor, lambda rows: coordinates[rows])
+    row = largest_row(comm, found.factors, lambda rows: coordinates[rows])
     place = "" if row is None else f", most at {problem.body.unit.point(row.place)}"
-    if fraction > most * (1 + 1e-6):
+    if found.fraction > most * (1 + 1e-6):
         raise InputError(
-            f"{100 * fraction:.3g} % of the mass would have to be added at {count} nodes{place}, "
-            f"where steps of {2 / np.sqrt(worst):.2g} s are stable",
+            f"{100 * found.fraction:.3g} % of the mass would have to be added at {found.nodes} "
+            f"nodes{place}, where steps of {found.before:.2g} s are stable",
             where="dynamics.mass_scaling",
-            expected=_advice(fraction),
+            expected=_advice(found.fraction),
         )
-    if count:
+    if found.nodes:
         log.info(
             "mass scaling: %.3g %% of the mass is added at %d nodes%s, there %.3g times the "
             "node's; steps of %.3g s were stable without",
-            100 * fraction,
-            count,
+            100 * found.fraction,
+            found.nodes,
             place,
             0.0 if row is None else row.value - 1,
-            2 / np.sqrt(worst),
+            found.before,
         )
-    numbers = {"added_mass_fraction": fraction}
-    if count and row is not None:
+    numbers = {"added_mass_fraction": found.fraction}
+    if found.nodes and row is not None:
         numbers |= {f"added_mass_{x}": v for x, v in zip("xyz", row.place, strict=False)}
-    return ScaledMass(np.asarray(np.repeat(factor, dim) * mass), numbers)
+    return ScaledMass(np.asarray(np.repeat(found.factors, dim) * mass), numbers)
 
 
 def _tell_of_limit(needed: float, most: float) -> None:
@@ -168,9 +220,8 @@ def _lowest(added: Callable[[float], float], least: float, worst: float, most: f
     return float(np.exp(high))
 
 
-def _median(problem: Problem, rates: FloatArray, worst: float) -> float:
+def _median(comm: MPI.Comm, rates: FloatArray, worst: float) -> float:
     """The median of the nodes' rates, to a few digits. Collective."""
-    comm = problem.body.comm
     count = int(total(comm, len(rates)))
     low, high = -200.0, np.log(max(worst, 1e-200))
     for _ in range(HALVINGS):
