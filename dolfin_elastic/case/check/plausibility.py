@@ -381,10 +381,11 @@ def _allowable_notes(where: str, law: Law) -> Iterator[str]:
 def _thickness_notes(case: Case, body: Body) -> Iterator[str]:
     """A yield stress of plates that are thinner than the part. Collective.
 
-    The limit stands in the source of the value.  The mean thickness is at most the largest one, so
-    that thin parts give no note, however they are bent; of several materials it is not known.
+    Modes and buckling loads are compared with no yield stress.  The limit stands in the source of
+    the value.  The mean thickness is at most the largest one, so that thin parts give no note,
+    however they are bent; of several materials it is not known.
     """
-    if body.dim < 3 or len(case.materials) > 1:
+    if case.gives_modes or body.dim < 3 or len(case.materials) > 1:
         return
     for name, material in case.materials.items():
         credit, found = material.source.partition(":")[0], _THICK.search(material.source)

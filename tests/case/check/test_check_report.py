@@ -39,6 +39,7 @@ from dolfin_elastic.model.loads import (
 )
 from dolfin_elastic.solvers.diagnostics.rigid_body import free_bodies
 from dolfin_elastic.solvers.diagnostics.rigid_body_names import motions_in_words
+from dolfin_elastic.solvers.eigen.settings import ModalSettings
 from dolfin_elastic.solvers.linear.choice import LinearSettings, choose
 
 COMM = MPI.COMM_WORLD
@@ -961,6 +962,8 @@ def test_yield_stress_of_thinner_plates(size: list[int], keys: dict[str, str], t
     )
     notes = [note for note in check(one, one.read_body()) if "thick" in note]
     assert len(notes) == bool(told)
+    modes = one.model_copy(update={"modal": ModalSettings()})
+    assert not [note for note in check(modes, modes.read_body()) if "thick" in note]
     for note in notes:
         assert told in note
         assert note.startswith("materials.steel.allowable: the yield stress of ")
