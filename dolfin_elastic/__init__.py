@@ -112,6 +112,7 @@ if TYPE_CHECKING:
     from dolfin_elastic.solvers.eigen.modal import Modal as Modal
     from dolfin_elastic.solvers.statics.statics import Statics as Statics
     from dolfin_elastic.study.sweep.sweep import sweep as sweep
+    from dolfin_elastic.study.fit.fit import fit as fit
 
 _PLACES = {
     "case.case": ("Case", "read_case"),
@@ -185,6 +186,7 @@ _PLACES = {
     "study.sweep.sweep": ("sweep",),
     "solvers.eigen.modal": ("Modal",),
     "solvers.eigen.buckling": ("Buckling",),
+    "study.fit.fit": ("fit",),
     "notebook.report_view": ("show_report",),
     "results.finished.run": ("FinishedRun",),
     "results.outputs": ("History", "Modes", "Picture", "Summary", "Xdmf"),

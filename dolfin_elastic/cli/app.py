@@ -24,6 +24,7 @@ from click.exceptions import ClickException
 from typer.core import TyperCommand, TyperGroup
 
 from dolfin_elastic.cli.converge import converge
+from dolfin_elastic.cli.fit import fit
 from dolfin_elastic.cli.import_deck import import_deck
 from dolfin_elastic.cli.look.command import look
 from dolfin_elastic.cli.materials import material, materials
@@ -101,6 +102,8 @@ HELP = """Deformable elastic bodies on DOLFINx and PETSc, on any number of cores
   dolfin-elastic look part.step -o look.png see the faces of a body, and their numbers
   dolfin-elastic check beam.toml            what will be computed, and what is wrong
   dolfin-elastic material beam.toml         try its materials at a point
+  dolfin-elastic fit law.toml --uniaxial a.csv
+                                            constants of a material from measured curves
   dolfin-elastic run beam.toml              compute it
   mpirun -n 4 dolfin-elastic run beam.toml  the same on four cores
   dolfin-elastic restart beam_results       go on after it was stopped or killed
@@ -206,6 +209,7 @@ app.command(cls=Verb, context_settings={"allow_extra_args": True, "ignore_unknow
     material
 )
 app.command(cls=Verb)(materials)
+app.command(cls=Verb)(fit)
 app.command(cls=Verb)(report)
 app.command(cls=Verb)(convert)
 app.command("import", cls=Verb)(import_deck)

@@ -96,6 +96,7 @@ POINTS = {
     "study/converge/test_extrapolation.py",
     "study/sweep/test_sweep_command.py",
     "study/sweep/test_sweep_settings.py",
+    "study/fit/test_fit.py",
     "test_docs.py",
     "test_install.py",
     "test_layout.py",

@@ -1,0 +1,302 @@
+"""The command `fit`: its options, its tables, and its exit code."""
+# ruff: noqa: D301
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, TypeAlias
+
+import typer
+
+from dolfin_elastic.core.errors import CaseError, SolveError, nearest
+from dolfin_elastic.core.startup.libraries import start
+
+if TYPE_CHECKING:
+    from dolfin_elastic.study.fit.fit import Fit, FittedConstant
+
+Files: TypeAlias = list[Path] | None
+Texts: TypeAlias = list[str] | None
+
+
+def fit(
+    law: Annotated[Path, typer.Argument(metavar="LAW", hidden=True)],
+    *,
+    uniaxial: Annotated[
+        Files, typer.Option("--uniaxial", metavar="CSV", help="Tension or compression of a bar.")
+    ] = None,
+    equibiaxial: Annotated[
+        Files, typer.Option("--equibiaxial", metavar="CSV", help="A sheet pulled both ways.")
+    ] = None,
+    planar: Annotated[
+        Files, typer.Option("--planar", metavar="CSV", help="A wide sheet pulled one way.")
+    ] = None,
+    shear: Annotated[Files, typer.Option("--shear", metavar="CSV", help="Simple shear.")] = None,
+    volumetric: Annotated[
+        Files, typer.Option("--volumetric", metavar="CSV", help="Volume ratio and pressure.")
+    ] = None,
+    relaxation: Annotated[
+        Files,
+        typer.Option("--relaxation", metavar="CSV", help="Time, stress and the stretch held."),
+    ] = None,
+    cyclic: Annotated[
+        Files, typer.Option("--cyclic", metavar="CSV", help="A bar strained to and fro.")
+    ] = None,
+    unit: Annotated[
+        str, typer.Option("--unit", help="Unit of stresses without one in their heading.")
+    ] = "Pa",
+    true: Annotated[bool, typer.Option("--true", help="Stresses are Cauchy's.")] = False,
+    weight: Annotated[
+        Texts, typer.Option("--weight", metavar="TEST=W", help="Weight of a test: uniaxial=2.")
+    ] = None,
+    fix: Annotated[
+        Texts, typer.Option("--fix", metavar="NAME", help="A constant that keeps its value.")
+    ] = None,
+    bounds: Annotated[
+        Texts,
+        typer.Option("--bounds", metavar="NAME=LOW:HIGH", help='Range: "mu=0.1 MPa:10 MPa".'),
+    ] = None,
+    only: Annotated[
+        str | None,
+        typer.Option("--material", metavar="NAME", help="Only this material of the file."),
+    ] = None,
+    starts: Annotated[
+        int | None, typer.Option("--starts", min=1, metavar="N", help="Largest number of starts.")
+    ] = None,
+    steps: Annotated[
+        int, typer.Option("--steps", min=1, metavar="N", help="Largest number of steps from each.")
+    ] = 400,
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", metavar="DIR", help="Folder of the results.")
+    ] = None,
+    json: Annotated[bool, typer.Option("--json", help="Print JSON, for scripts.")] = False,
+) -> None:
+    """Fit the constants of a material to measured curves.
+
+    \b
+      dolfin-elastic fit law.toml --uniaxial a.csv --equibiaxial b.csv --unit MPa
+      dolfin-elastic fit law.toml --uniaxial a.csv --fix nu --bounds "mu=0.1 MPa:10 MPa"
+      dolfin-elastic fit law.toml --relaxation r.csv --weight relaxation=2
+
+    LAW is a case file, of which nothing but [materials] is read, or a law's table alone.  Its
+    numbers are starting values; mu = "fit" has none.  Files have columns of stretch (or strain)
+    and nominal stress, which their headings name: "stress [MPa]".  Prints constants with
+    intervals of 95 %, what the tests do not tell, and a table [materials.NAME] that `run` reads;
+    it, a picture and tables go to LAW_fitted.  Exit code 3: the search has not ended.
+    """
+    start()
+    from mpi4py import MPI
+
+    from dolfin_elastic.core.parallel import on_root
+
+    files = {
+        "uniaxial": uniaxial,
+        "equibiaxial": equibiaxial,
+        "planar": planar,
+        "shear": shear,
+        "volumetric": volumetric,
+        "relaxation": relaxation,
+        "cyclic": cyclic,
+    }
+    data = {kind: paths for kind, paths in files.items() if paths}
+    folder = output if output is not None else Path(f"{law.stem}_fitted")
+
+    def on_one_rank() -> None:
+        name, table = _read_law(law, only)
+        result = _fit(
+            str(law),
+            name,
+            table,
+            data,
+            unit,
+            true,
+            fix or [],
+            _pairs("--bounds", bounds),
+            _pairs("--weight", weight),
+            starts,
+            steps,
+        )
+        _show(name, result, table.get("on"), folder, json)
+
+    on_root(MPI.COMM_WORLD, on_one_rank)
+
+
+def _read_law(file: Path, only: str | None) -> tuple[str, Mapping[str, object]]:
+    """Name and table of the material that is fitted."""
+    from dolfin_elastic.case.case import locate_errors
+    from dolfin_elastic.case.curve_files import with_series
+    from dolfin_elastic.case.toml import read_toml
+
+    tables: Mapping[str, object] = read_toml(str(file))
+    if "law" in tables or "energy" in tables:
+        tables = {"materials": {only or file.stem: tables}}
+    with locate_errors(str(file)):
+        tables = with_series(tables, file.parent)
+    materials = tables.get("materials")
+    rows = {
+        name: row
+        for name, row in (materials.items() if isinstance(materials, Mapping) else ())
+        if isinstance(row, Mapping)
+    }
+    if not rows:
+        raise CaseError(
+            "there is no material",
+            where=str(file),
+            expected="a table [materials.NAME], or law = ...",
+        )
+    if only is None and len(rows) > 1:
+        raise CaseError(
+            f"there are several materials: {', '.join(rows)}",
+            where=str(file),
+            expected="name one by --material",
+        )
+    name = next(iter(rows)) if only is None else only
+    if name not in rows:
+        raise CaseError(
+            f"there is no material '{name}'", where=str(file), expected=nearest(name, rows)
+        )
+    return name, rows[name]
+
+
+def _pairs(option: str, texts: Texts) -> dict[str, str]:
+    """``["mu=1:2"]`` as a dictionary."""
+    result = {}
+    for text in texts or []:
+        name, equals, value = text.partition("=")
+        if not equals or not value:
+            raise CaseError(f"'{text}' is no NAME=VALUE", where=option)
+        result[name.strip()] = value.strip()
+    return result
+
+
+def _fit(
+    file: str,
+    name: str,
+    table: Mapping[str, object],
+    data: Mapping[str, Sequence[Path]],
+    unit: str,
+    true: bool,
+    fix: Sequence[str],
+    bounds: Mapping[str, str],
+    weights: Mapping[str, str],
+    starts: int | None,
+    steps: int,
+) -> Fit:
+    from dolfin_elastic.case.case import locate_errors
+    from dolfin_elastic.study.fit.fit import fit as fit_law
+    from dolfin_elastic.study.fit.fit import read_curves, starting_law
+
+    numbers = {}
+    for kind, text in weights.items():
+        try:
+            numbers[kind] = float(text)
+        except ValueError:
+            raise CaseError(
+                f"{kind}: '{text}' is no weight", where="--weight", expected="a number above 0"
+            ) from None
+    curves = read_curves(data, numbers, unit=unit, true=true)
+    with locate_errors(f"{file}: materials.{name}"):
+        starting_law({key: value for key, value in table.items() if key != "source"}, curves)
+    read: dict[str, list[object]] = {}
+    for curve in curves:
+        read.setdefault(curve.kind, []).append(curve)
+    return fit_law(table, read, fix=fix, bounds=bounds, starts=starts, evaluations=steps)
+
+
+def _show(name: str, fit: Fit, on: object, folder: Path, json: bool) -> None:
+    """Prints and writes a fit.
+
+    Raises:
+        SolveError: It has not ended.
+    """
+    from dolfin_elastic.cli.console import console
+    from dolfin_elastic.cli.console_materials import as_json
+    from dolfin_elastic.core.errors import check_kept
+    from dolfin_elastic.study.fit.written import material_toml, write_fit
+
+    check_kept(folder, "--output")
+    files = write_fit(name, fit, folder, on)
+    if json:
+        print(as_json(_plain(fit)))
+    else:
+        screen = console()
+        screen.print(name, style="bold")
+        _tables(fit)
+        for line in (*fit.unknown, *fit.stability, *fit.notes):
+            screen.tell(line)
+        screen.print()
+        print(material_toml(name, fit, on))
+        screen.print(f"written: {folder}: {', '.join(f.name for f in files)}")
+    if not fit.ended:
+        raise SolveError(
+            f"the fit has not ended: {fit.why}; the best so far is written",
+            advice="more --steps or --starts, --bounds, or --fix what the tests do not tell",
+        )
+
+
+def _tables(fit: Fit) -> None:
+    """Prints constants and errors."""
+    from rich.box import SIMPLE_HEAD
+    from rich.table import Table
+
+    from dolfin_elastic.cli.console import console
+    from dolfin_elastic.core.si_text import percent, quantity
+
+    table = Table("constant", box=SIMPLE_HEAD, pad_edge=False)
+    table.add_column("value", justify="right")
+    table.add_column("95 % interval", justify="left")
+    for row in fit.constants:
+        table.add_row(row.name, quantity(row.value, row.unit), row.held or _interval(row))
+    console().print(table)
+    table = Table("test", box=SIMPLE_HEAD, pad_edge=False)
+    for head in ("points", "r.m.s. error", "of the largest stress"):
+        table.add_column(head, justify="right")
+    for curve in fit.curves:
+        count, error = str(len(curve.stress)), quantity(curve.rms, "Pa")
+        table.add_row(curve.measured.kind, count, error, percent(curve.relative))
+    console().print(table)
+
+
+def _interval(row: FittedConstant) -> str:
+    from dolfin_elastic.core.si_text import percent, quantity
+
+    if row.bound:
+        return "at its bound"
+    if not math.isfinite(row.half):
+        return "not known"
+    part = percent(row.half / abs(row.value)) if row.value else ""
+    return f"+- {quantity(row.half, row.unit)} ({part})"
+
+
+def _plain(fit: Fit) -> dict[str, object]:
+    """A fit as plain values, for scripts."""
+    return {
+        "ended": fit.ended,
+        "why": fit.why,
+        "constants": {
+            row.name: {
+                "value": row.value,
+                "unit": row.unit,
+                "interval": list(row.interval),
+                "held": row.held,
+            }
+            for row in fit.constants
+        },
+        "correlation": {
+            "names": [row.name for row in fit.fitted],
+            "matrix": fit.correlation.tolist(),
+        },
+        "tests": [
+            {
+                "test": curve.measured.kind,
+                "rms": curve.rms,
+                "relative": curve.relative,
+                "fitted": curve.stress.tolist(),
+            }
+            for curve in fit.curves
+        ],
+        "unknown": list(fit.unknown),
+        "stability": list(fit.stability),
+        "notes": list(fit.notes),
+    }

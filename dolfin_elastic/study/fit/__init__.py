@@ -1,0 +1,1 @@
+"""Constants of a material from the curves of its tests."""

@@ -1,0 +1,365 @@
+"""Constants of a law that are fitted: names, units, ranges, starting values.
+
+A constant of several values has one for each, "mu[0]"; parameters of a formula are
+"parameters.c1", branches that relax "viscous[0].ratio" and "viscous[0].time", Voce's law
+"hardening.rate".
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import ufl
+from pydantic.fields import FieldInfo
+
+from dolfin_elastic.case.tables import Material
+from dolfin_elastic.core.errors import CaseError, InputError, UnitError, nearest
+from dolfin_elastic.core.types import FloatArray
+from dolfin_elastic.core.units import to_base, to_si
+from dolfin_elastic.model.kinematics import gradient_symbol
+from dolfin_elastic.model.materials.law import Law
+from dolfin_elastic.model.materials.plasticity import HardeningCurve, Plastic
+from dolfin_elastic.model.materials.spatial import Range
+from dolfin_elastic.study.fit.curves import TestCurve
+
+FIT = "fit"
+"""In the place of a constant: it is fitted, and has no starting value."""
+VOLUME = ("nu", "K", "lmbda")
+"""Constants of the change of volume, which only volumetric tests tell."""
+_BESIDE = ("density", "expansion", "allowable", "viscosity", "plastic_viscosity")
+"""Numbers of a law that no curve depends on, but for the last, which needs a rate."""
+_VOCE = ("saturation", "rate", "slope")
+_STEP = re.compile(r"\[(\d+)\]|\.?([^.\[\]]+)")
+_EXPONENT = Range(low=-20.0, high=20.0, low_too=True, high_too=True)
+"""Of Ogden's law: larger ones fit the scatter of the last points."""
+_INSIDE = 1e-9
+"""Distance from a bound that does not belong to a range, over the size of the constant."""
+
+
+@dataclass(frozen=True)
+class Constant:
+    """One number of a law.
+
+    Attributes:
+        name: As in a case file, see the module.
+        unit: SI unit; empty: a pure number, or a parameter of a formula.
+        start: Where the search begins.
+        low: Least value.
+        high: Largest value.
+        held: Why it is not fitted; empty: it is.
+    """
+
+    name: str
+    unit: str
+    start: float
+    low: float
+    high: float
+    held: str = ""
+
+    @property
+    def scale(self) -> float:
+        """Its size."""
+        return abs(self.start) or 1.0
+
+
+def constants_of(law: Law) -> list[Constant]:
+    """All numbers of a law that curves can depend on."""
+    rows, ranges = [], law.ranges()
+    for name, value in law.constants().items():
+        if name in (*_BESIDE, *law.directions):
+            continue
+        info = type(law).model_fields.get(name)
+        unit, limits = "" if info is None else _unit(info), ranges.get(name, Range())
+        if isinstance(value, list):
+            rows += [_constant(f"{name}[{i}]", unit, x, limits) for i, x in enumerate(value)]
+        else:
+            rows.append(_constant(name, unit, value, limits))
+    if (curve := _voce(law)) is not None:
+        for key in _VOCE:
+            info = HardeningCurve.model_fields[key]
+            value, limits = float(getattr(curve, key)), Range.of(info.metadata)
+            rows.append(_constant(f"hardening.{key}", _unit(info), value, limits))
+    for i, term in enumerate(law.viscous):
+        limits = Range(low=0.0)
+        rows.append(_constant(f"viscous[{i}].ratio", "", term.ratio, limits))
+        rows.append(_constant(f"viscous[{i}].time", "s", term.time, limits))
+    return rows
+
+
+def _voce(law: Law) -> HardeningCurve | None:
+    curve = law.hardening if isinstance(law, Plastic) else None
+    return curve if isinstance(curve, HardeningCurve) and not curve.table else None
+
+
+def _unit(info: FieldInfo) -> str:
+    """SI unit of a field, of a list that of its items."""
+    kinds = re.findall(r"Quantity\(unit='([^']*)'", f"{info.metadata!r} {info.annotation!r}")
+    return kinds[0] if kinds else ""
+
+
+def _constant(name: str, unit: str, value: float, limits: Range) -> Constant:
+    inside = _INSIDE * (abs(value) or 1.0)
+    if name.startswith("alpha"):
+        limits = _EXPONENT
+    low = limits.low + (0.0 if limits.low_too else inside)
+    high = limits.high - (0.0 if limits.high_too else inside)
+    return Constant(name, unit, float(value), low, high)
+
+
+# --- what is fitted ---
+
+
+def chosen(
+    law: Law,
+    curves: Sequence[TestCurve],
+    fix: Collection[str],
+    bounds: Mapping[str, object],
+    marked: Collection[str],
+) -> list[Constant]:
+    """All constants of a law, those that are held with the reason.
+
+    Args:
+        fix: Names of those that are held; "mu" holds all of a list.
+        bounds: Name to least and largest value, None or empty: none.
+        marked: Names of those that had no starting value.
+
+    Raises:
+        InputError: There is no constant of a name, bounds that cannot be, or nothing to fit.
+    """
+    rows = constants_of(law)
+    for option, names in (("--fix", fix), ("--bounds", bounds)):
+        for name in names:
+            if not _named(rows, name):
+                known = list(dict.fromkeys([*(r.name for r in rows), *(_top(r) for r in rows)]))
+                raise CaseError(
+                    f"there is no constant '{name}' to fit",
+                    where=option,
+                    expected=nearest(name, known),
+                )
+    held = {row.name for name in fix for row in _named(rows, name)}
+    limits = {row.name: value for name, value in bounds.items() for row in _named(rows, name)}
+    volumetric = any(curve.kind == "volumetric" for curve in curves)
+    result = []
+    for row in rows:
+        why = ""
+        if row.name in held:
+            why = "fixed by --fix"
+        elif row.name in VOLUME and not volumetric and row.name not in {*marked, *limits}:
+            why = "fixed: only a volumetric test shows it"
+        elif row.name == "kinematic" and row.start == 0:
+            why = "fixed"
+        new = _bounded(row, limits[row.name]) if row.name in limits else row
+        result.append(replace(new, held=why))
+    if all(row.held for row in result):
+        reasons = ", ".join(f"{row.name} ({row.held})" for row in result)
+        raise CaseError(f"nothing is left to fit: {reasons}", where="--fix")
+    return result
+
+
+def _top(row: Constant) -> str:
+    """Name without index: "mu" of "mu[0]"; "c1" of "parameters.c1"."""
+    return row.name.removeprefix("parameters.").partition("[")[0]
+
+
+def _named(rows: Sequence[Constant], name: str) -> list[Constant]:
+    exact = [row for row in rows if row.name == name]
+    return exact or [row for row in rows if _top(row) == name]
+
+
+def _bounded(row: Constant, value: object) -> Constant:
+    """A constant with bounds of the user's, "0.1 MPa:10 MPa" or a pair.
+
+    Raises:
+        InputError: They cannot be.
+    """
+    parts = value.split(":") if isinstance(value, str) else value
+    wrong = CaseError(
+        f"{row.name}: '{value}' is not a least and a largest value",
+        where="--bounds",
+        expected='for example mu="0.1 MPa:10 MPa"; either may be left out',
+    )
+    if not isinstance(parts, Sequence) or len(parts) != 2:
+        raise wrong
+    try:
+        low, high = (None if x is None or x == "" else _number(row, x) for x in parts)
+    except UnitError as error:
+        raise CaseError(
+            f"{row.name}: {error.what}", where="--bounds", expected=error.expected
+        ) from None
+    low = row.low if low is None else max(low, row.low)
+    high = row.high if high is None else min(high, row.high)
+    if not low < high:
+        raise wrong
+    return replace(row, low=low, high=high, start=float(np.clip(row.start, low, high)))
+
+
+def _number(row: Constant, value: object) -> float:
+    assert isinstance(value, int | float | str)
+    return to_base(value) if row.name.startswith("parameters.") else to_si(value, row.unit)
+
+
+# --- laws of numbers, and with symbols ---
+
+
+class SymbolicLaw:
+    """A law whose numbers have become UFL constants.
+
+    Attributes:
+        law: With these.
+        names: Of the scalars, in the order of the rows that `arrays` takes.
+        symbols: The UFL constants, scalars and vectors.
+    """
+
+    def __init__(self, law: Law, names: Sequence[str]) -> None:
+        domain = gradient_symbol().ufl_domain()
+
+        def symbol(value: float | list[float]) -> ufl.Constant:
+            return ufl.Constant(domain, np.shape(value))
+
+        bound = law.bind(symbol, {}, {}, None)
+        self.law, self.names = bound.law, list(names)
+        tops = dict(bound.constants)
+        if (curve := _voce(law)) is not None:
+            parts = {key: symbol(0.0) for key in _VOCE}
+            self.law = self.law.with_values({"hardening": curve.model_copy(update=parts)})
+            tops |= {f"hardening.{key}": part for key, part in parts.items()}
+        self.symbols, self._given = list(tops.values()), law.constants()
+        self._tops = list(tops)
+        if curve is not None:
+            self._given |= {f"hardening.{key}": getattr(curve, key) for key in _VOCE}
+
+    def arrays(self, rows: FloatArray) -> list[FloatArray]:
+        """Values of the symbols, each of shape (m, *shape).
+
+        Args:
+            rows: Of `names`, shape (m, k); the other constants have the law's own numbers.
+        """
+        result = []
+        for top in self._tops:
+            given = np.asarray(self._given[top], dtype=np.float64)
+            array = np.array(np.broadcast_to(given, (len(rows), *given.shape)))
+            for column, name in enumerate(self.names):
+                head, _, index = name.partition("[")
+                if name == top:
+                    array[:] = rows[:, column]
+                elif head == top and index.rstrip("]").isdigit():
+                    array[:, int(index.rstrip("]"))] = rows[:, column]
+            result.append(array)
+        return result
+
+
+def with_numbers(law: Law, numbers: Mapping[str, float]) -> Law:
+    """The law with other numbers, read as from a case file.
+
+    Raises:
+        InputError: The law cannot have them.
+    """
+    return Material.read(table_with(law, numbers)).law
+
+
+def table_with(law: Law, numbers: Mapping[str, object]) -> dict[str, object]:
+    """A law's table with other values of some constants."""
+    table = _plain(Material(law=law).table())
+    assert isinstance(table, dict)
+    for name, value in numbers.items():
+        _put(table, name, value)
+    return table
+
+
+def _plain(value: object) -> object:
+    """A copy of which each part may be changed."""
+    if isinstance(value, Mapping):
+        return {key: _plain(part) for key, part in value.items()}
+    return [_plain(part) for part in value] if isinstance(value, list | tuple) else value
+
+
+def _put(table: object, name: str, value: object) -> None:
+    keys: list[int | str] = [int(i) if i else key for i, key in _STEP.findall(name)]
+    place = table
+    for key in keys[:-1]:
+        place = place[key]  # type: ignore[index]
+    place[keys[-1]] = value  # type: ignore[index]
+
+
+# --- constants without a starting value ---
+
+
+def marked_constants(table: Mapping[str, object]) -> Iterator[str]:
+    """Names of the values of a material's table that are "fit"."""
+    for key, value in table.items():
+        if value == FIT:
+            yield key
+        elif isinstance(value, Mapping):
+            yield from (f"{key}.{inner}" for inner in marked_constants(value))
+        elif isinstance(value, list | tuple):
+            for i, part in enumerate(value):
+                if part == FIT:
+                    yield f"{key}[{i}]"
+                elif isinstance(part, Mapping):
+                    yield from (f"{key}[{i}].{inner}" for inner in marked_constants(part))
+
+
+_GUESSES = {"nu": 0.45, "ratio": 0.3, "g": 0.3, "rate": 20.0, "lock": 3.0}
+_EXPONENTS = (2.0, -2.0, 5.0, -5.0, 9.0)
+
+
+def guessed(table: Mapping[str, object], curves: Sequence[TestCurve]) -> dict[str, object]:
+    """A material's table with first guesses in place of "fit": of the order of what is measured.
+
+    Args:
+        curves: What the sizes of moduli and times follow from.
+
+    Raises:
+        InputError: A parameter of a formula, of which nothing is known, has no value.
+    """
+    names = [*marked_constants(table)]
+    result = _plain(table)
+    assert isinstance(result, dict)
+    size = _stiffness(curves)
+    ends = [curve.time[[0, -1]] for curve in curves if curve.time is not None]
+    first, last = (ends[0][0], ends[0][1]) if ends else (0.0, 1.0)
+    terms = [name for name in names if name.endswith((".time", ".tau"))]
+    for name in names:
+        key = name.rpartition(".")[2].partition("[")[0]
+        index = int(found[1]) if (found := re.search(r"\[(\d+)\]$", name)) else 0
+        value: float = size
+        if name.startswith("parameters."):
+            raise InputError(
+                "a parameter of a formula needs a value to start from",
+                where=name,
+                expected='for example "0.1 MPa", of the order that it may have',
+            )
+        if name in terms:
+            least = max(first, 1e-3 * last)
+            value = float(least * (last / least) ** ((terms.index(name) + 1) / (len(terms) + 1)))
+        elif key == "alpha":
+            value = _EXPONENTS[index % len(_EXPONENTS)]
+        elif key in _GUESSES:
+            value = _GUESSES[key]
+        elif key == "K":
+            value = 1e3 * size
+        elif key in ("mu", "c10"):
+            value = size / (1 + index) * (-1 if _EXPONENTS[index % 5] < 0 else 1)
+        elif key in ("c20", "c30"):
+            value = 1e-3 * size
+        elif key in ("yield", "yield_stress"):
+            value = 0.5 * max(float(np.abs(curve.stress).max()) for curve in curves)
+        elif key == "saturation":
+            value = max(float(np.abs(curve.stress).max()) for curve in curves)
+        _put(result, name, value)
+    return result
+
+
+def _stiffness(curves: Sequence[TestCurve]) -> float:
+    """About a third of the first slope of the curves [Pa]."""
+    slopes = []
+    for curve in curves:
+        strain = np.abs(curve.x - (0.0 if curve.kind == "shear" else 1.0))
+        good = strain > 0
+        if curve.kind != "volumetric" and good.any():
+            ratio = np.abs(curve.stress[good]) / strain[good]
+            slopes.append(float(np.median(ratio)) / 3)
+    return float(np.median(slopes)) if slopes else 1e6

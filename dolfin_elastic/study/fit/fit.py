@@ -1,0 +1,296 @@
+"""Fitting the constants of a law to the curves of material tests."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+
+from dolfin_elastic.case.tables import Material
+from dolfin_elastic.core.errors import CaseError, InputError
+from dolfin_elastic.core.si_text import percent
+from dolfin_elastic.core.types import FloatArray
+from dolfin_elastic.model.materials.law import Law
+from dolfin_elastic.study.fit.constants import (
+    Constant,
+    chosen,
+    guessed,
+    marked_constants,
+    with_numbers,
+)
+from dolfin_elastic.study.fit.curves import KINDS, TestCurve, as_curve, known_kind
+from dolfin_elastic.study.fit.homogeneous import HomogeneousTests, mode_of
+from dolfin_elastic.study.fit.remarks import remarks, stability
+from dolfin_elastic.study.fit.search import Answer, Certainty, Model, certainty, search
+
+STARTS, STEPPED_STARTS, EVALUATIONS = 24, 4, 400
+"""Largest number of starts, the same of laws that remember by steps, and of steps from each."""
+_LINE = 120
+"""Points of a curve of the law."""
+
+
+@dataclass(frozen=True)
+class FittedConstant:
+    """A constant after the fit.
+
+    Attributes:
+        name: As in a case file.
+        unit: SI unit.
+        value: In SI units.
+        half: Half the width of its interval of 95 %; infinite where the tests do not tell it, nan
+            where it is held or at a bound.
+        held: Why it is not fitted; empty: it is.
+        bound: It has come to a bound of its range.
+    """
+
+    name: str
+    unit: str
+    value: float
+    half: float
+    held: str = ""
+    bound: bool = False
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """Its ends."""
+        return self.value - self.half, self.value + self.half
+
+
+@dataclass(frozen=True)
+class FittedCurve:
+    """A test beside the law that was fitted.
+
+    Attributes:
+        measured: The test.
+        stress: Of the law at the same points [Pa], shape (n,).
+        line: More points of the law's curve, x and stress; None: it is one over time or of steps.
+    """
+
+    measured: TestCurve
+    stress: FloatArray
+    line: tuple[FloatArray, FloatArray] | None = None
+
+    @property
+    def rms(self) -> float:
+        """Root mean square of the differences [Pa]."""
+        return float(np.sqrt(np.mean((self.stress - self.measured.stress) ** 2)))
+
+    @property
+    def relative(self) -> float:
+        """The same over the largest measured stress."""
+        return self.rms / float(np.abs(self.measured.stress).max())
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A law fitted to curves.
+
+    Attributes:
+        law: With the fitted constants.
+        constants: All constants of the law.
+        curves: The tests beside it.
+        correlation: Of the fitted constants in their order, shape (k, k).
+        unknown: What the tests do not tell, and which test would, a sentence each.
+        notes: Further remarks.
+        ended: The search has come to its end.
+        why: How it has ended.
+        starts: Starts of the search.
+        same: How many of them have come to this answer.
+        model: Law and tests as functions of the constants over their scales.
+        z: These.
+    """
+
+    law: Law
+    constants: tuple[FittedConstant, ...]
+    curves: tuple[FittedCurve, ...]
+    correlation: FloatArray
+    unknown: tuple[str, ...]
+    notes: tuple[str, ...]
+    ended: bool
+    why: str
+    starts: int
+    same: int
+    model: Model = field(repr=False)
+    z: FloatArray = field(repr=False)
+
+    @cached_property
+    def stability(self) -> tuple[str, ...]:
+        """Where it is stable over the range of the tests, a sentence each."""
+        return tuple(stability(self.law, self.model, self.z))
+
+    @cached_property
+    def fitted(self) -> tuple[FittedConstant, ...]:
+        """The constants that are not held."""
+        return tuple(row for row in self.constants if not row.held)
+
+    def __getitem__(self, name: str) -> FittedConstant:
+        """The constant of a name."""
+        return next(row for row in self.constants if row.name == name)
+
+    def __str__(self) -> str:
+        rows = [f"{c.name} = {c.value:.6g} {c.unit}".rstrip() for c in self.constants]
+        errors = [f"{c.measured.kind}: {percent(c.relative)} r.m.s." for c in self.curves]
+        return "\n".join([*rows, *errors, *self.unknown, *self.stability, *self.notes])
+
+
+def fit(
+    law: Law | Mapping[str, object],
+    data: Mapping[str, object],
+    *,
+    fix: Collection[str] = (),
+    bounds: Mapping[str, object] | None = None,
+    weights: Mapping[str, float] | None = None,
+    unit: str = "Pa",
+    true: bool = False,
+    starts: int | None = None,
+    evaluations: int = EVALUATIONS,
+) -> Fit:
+    """Fits the constants of a law to curves of material tests. Not collective.
+
+    Args:
+        law: A law, or a table of a case file. Its numbers are starting values; in a table "fit"
+            stands for a constant without one. nu, K and lambda are held where no test is
+            volumetric, unless they are "fit".
+        data: Name of a kind of test, of `KINDS`, to the path of a CSV file, to arrays, to a
+            `TestCurve`, or to a list of paths or curves.
+        fix: Names of constants that keep their values.
+        bounds: Name of a constant to its least and largest value, None: none.
+        weights: Name of a kind of test to the weight of its mean square error; 1 by default.
+        unit: Of stresses whose column has none.
+        true: Stresses whose column does not say what they are, are Cauchy's.
+        starts: Largest number of starts of the search; None: 24, of laws that remember by steps 4.
+        evaluations: Largest number of steps from each.
+
+    Raises:
+        InputError: Something that was given is wrong.
+        SolveError: The law has no stress at the points, or cannot have the constants found.
+    """
+    curves = read_curves(data, weights or {}, unit=unit, true=true)
+    given = starting_law(law, curves)
+    marked = [] if isinstance(law, Law) else [*marked_constants(law)]
+    constants = chosen(given, curves, fix, bounds or {}, marked)
+    start = with_numbers(given, {row.name: row.start for row in constants if not row.held})
+    model = Model(start, curves, constants)
+    many = STARTS if isinstance(model.tests, HomogeneousTests) else STEPPED_STARTS
+    answer = search(model, many if starts is None else starts, evaluations)
+    return _result(start, model, constants, answer)
+
+
+def starting_law(law: Law | Mapping[str, object], curves: Sequence[TestCurve]) -> Law:
+    """The law from which a fit starts.
+
+    Args:
+        law: See `fit`.
+        curves: What guesses in place of "fit" follow from.
+
+    Raises:
+        InputError: The table is wrong, or a constant varies in space.
+    """
+    given = law if isinstance(law, Law) else Material.read(guessed(law, curves)).law
+    for name in given.spatial_constants():
+        raise CaseError("this constant varies in space", where=name, expected="a number")
+    return given
+
+
+def read_curves(
+    data: Mapping[str, object],
+    weights: Mapping[str, float],
+    *,
+    unit: str = "Pa",
+    true: bool = False,
+) -> list[TestCurve]:
+    """All curves, with their weights.
+
+    Arguments: see `fit`.
+
+    Raises:
+        InputError: A file or a weight is wrong, or there is no curve.
+    """
+    curves = []
+    for kind, given in data.items():
+        known_kind(kind, f"--{kind}")
+        paths = isinstance(given, list | tuple) and all(
+            isinstance(one, str | Path | TestCurve) for one in given
+        )
+        for one in given if paths and isinstance(given, list | tuple) else [given]:
+            curve = as_curve(kind, one, unit=unit, true=true)
+            curves.append(replace(curve, weight=curve.weight * weights.get(kind, 1.0)))
+    if not curves:
+        raise CaseError(
+            "there is no curve to fit",
+            expected=f"for example --uniaxial test.csv; known: {', '.join(KINDS)}",
+        )
+    for kind, weight in weights.items():
+        known_kind(kind, "--weight")
+        if not (np.isfinite(weight) and weight > 0):
+            raise CaseError(
+                f"{kind}: {weight:g} is no weight", where="--weight", expected="above 0"
+            )
+        if kind not in data:
+            raise CaseError(f"there is no {kind} test to weigh", where="--weight")
+    return curves
+
+
+def _result(start: Law, model: Model, constants: list[Constant], answer: Answer) -> Fit:
+    known = certainty(model, answer.z)
+    values = dict(zip((row.name for row in model.free), answer.z * model.scale, strict=True))
+    rows = _fitted(constants, values, model, known)
+    notes = []
+    try:
+        law = with_numbers(start, {name: float(x) for name, x in values.items()})
+    except InputError as error:
+        law = start.with_values({})
+        notes.append(f"the law does not accept these constants: {error}")
+        answer = replace(answer, ended=False, why="the law does not accept its constants")
+    stresses = np.split(
+        model.stresses(answer.z[None])[0], np.cumsum([len(c.x) for c in model.curves])[:-1]
+    )
+    curves = tuple(
+        FittedCurve(c, P, _line(model, c, answer.z))
+        for c, P in zip(model.curves, stresses, strict=True)
+    )
+    unknown, more = remarks(model, answer.z, known)
+    return Fit(
+        law,
+        rows,
+        curves,
+        known.correlation,
+        tuple(unknown),
+        (*notes, *more),
+        answer.ended,
+        answer.why,
+        answer.starts,
+        answer.same,
+        model,
+        answer.z,
+    )
+
+
+def _line(model: Model, curve: TestCurve, z: FloatArray) -> tuple[FloatArray, FloatArray] | None:
+    """The curve of the law from the rest to the last point."""
+    if curve.time is not None or not isinstance(model.tests, HomogeneousTests):
+        return None
+    rest = mode_of(curve).rest
+    x = np.linspace(min(rest, curve.x.min()), max(rest, curve.x.max()), _LINE, dtype=np.float64)
+    return x, model.tests.predict(replace(curve, x=x), z[None] * model.scale)[0]
+
+
+def _fitted(
+    constants: list[Constant], values: Mapping[str, float], model: Model, known: Certainty
+) -> tuple[FittedConstant, ...]:
+    order = {row.name: i for i, row in enumerate(model.free)}
+    return tuple(
+        FittedConstant(row.name, row.unit, row.start, np.nan, row.held)
+        if row.held
+        else FittedConstant(
+            row.name,
+            row.unit,
+            float(values[row.name]),
+            float(known.half[order[row.name]]),
+            bound=bool(known.bound[order[row.name]]),
+        )
+        for row in constants
+    )

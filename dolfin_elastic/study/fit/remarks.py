@@ -1,0 +1,146 @@
+"""What a fit says in words: what the tests do not tell, which test would, and what is stable."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from dolfin_elastic.core.si_text import listed
+from dolfin_elastic.core.types import FloatArray
+from dolfin_elastic.model.materials.law import Law
+from dolfin_elastic.model.point.ellipticity import acoustic_eigenvalues
+from dolfin_elastic.model.point.tested import with_finite_moduli
+from dolfin_elastic.model.point.ufl_to_numpy import LawAtPoints
+from dolfin_elastic.study.fit.constants import VOLUME
+from dolfin_elastic.study.fit.curves import TestCurve
+from dolfin_elastic.study.fit.homogeneous import HomogeneousTests, mode_of
+from dolfin_elastic.study.fit.search import Certainty, Model
+
+_OTHERS = ("uniaxial", "equibiaxial", "planar", "shear")
+_POINTS = 20
+_GRID = 16
+"""Points to each side of the rest at which stability is looked at."""
+_BETTER = 3.0
+"""By how much another test must see a change of constants better, to be named."""
+_ALIKE = 0.95
+"""Correlation from which on two constants are hardly told apart."""
+_METAL = ("yield_stress", "hardening", "kinematic")
+
+
+def remarks(model: Model, z: FloatArray, known: Certainty) -> tuple[list[str], list[str]]:
+    """What is not told, and further remarks."""
+    names, unknown, notes = [row.name for row in model.free], [], []
+    for group in known.unknown:
+        direction = np.zeros(len(z))
+        direction[list(group)] = 1.0
+        alone = len(group) == 1
+        what = (
+            f"{names[group[0]]} cannot be found from these tests"
+            if alone
+            else (f"{listed([names[i] for i in group])} cannot be distinguished by these tests")
+        )
+        unknown.append(what + _which(model, z, direction if alone else known.weak, group))
+    wide = [
+        i
+        for i in range(len(z))
+        if np.isfinite(known.half[i]) and known.half[i] > abs(z[i]) * model.scale[i] > 0
+    ]
+    if wide:
+        what = f"{listed([names[i] for i in wide])} {'is' if len(wide) == 1 else 'are'}"
+        text = f"{what} known to no better than 100 %"
+        unknown.append(text + _which(model, z, known.weak, wide))
+    pairs = [
+        f"{names[i]} and {names[j]} ({known.correlation[i, j]:.3f})"
+        for i in range(len(z))
+        for j in range(i)
+        if abs(known.correlation[i, j]) > _ALIKE
+    ]
+    if pairs:
+        notes.append(f"strongly correlated: {', '.join(pairs)}")
+    for i in np.flatnonzero(known.bound):
+        notes.append(f"{names[i]} is at a bound of its range: the law may not suit the tests")
+    return unknown, notes
+
+
+def _which(model: Model, z: FloatArray, weak: FloatArray, group: Sequence[int]) -> str:
+    """The test that would tell, behind a colon; empty where none is known."""
+    names = [model.free[i].name for i in group]
+    if any(name in VOLUME for name in names):
+        return ": a volumetric test would tell"
+    if any(name.startswith("viscous") for name in names):
+        return ": a relaxation test over more decades of time would tell"
+    if any(name.startswith(_METAL) for name in names):
+        kinds = {curve.kind for curve in model.curves}
+        better = "a cyclic test" if "uniaxial" in kinds else "a test to larger strains"
+        return f": {better} beyond yield would tell"
+    if not isinstance(model.tests, HomogeneousTests) or not weak.any():
+        return ""
+    base = _seen(model, model.curves, z, weak)
+    done = {curve.kind for curve in model.curves}
+    ends = [float(c.x.max()) for c in model.curves if mode_of(c).rest == 1.0]
+    largest = max(ends, default=2.0)
+    best, name = _BETTER * base, ""
+    for kind in _OTHERS:
+        if kind in done:
+            continue
+        rest = 0.0 if kind == "shear" else 1.0
+        x = np.linspace(rest, largest - 1 + rest, _POINTS, dtype=np.float64)
+        seen = _seen(model, [TestCurve(kind, x, np.ones_like(x))], z, weak)
+        if np.isfinite(seen) and seen > best:
+            best, name = seen, kind
+    return f": {_article(name)} {name} test would tell" if name else ""
+
+
+def _article(word: str) -> str:
+    return "an" if word[:1] in "aeiou" and word != "uniaxial" else "a"
+
+
+def _seen(model: Model, curves: Sequence[TestCurve], z: FloatArray, weak: FloatArray) -> float:
+    """Relative change of the stresses of tests by a small change of constants."""
+    step = 1e-3 * weak / max(float(np.abs(weak / np.maximum(np.abs(z), 1e-3)).max()), 1e-300)
+    result = 0.0
+    for curve in curves:
+        low, middle, high = model.tests.predict(
+            curve, np.array([z - step, z, z + step]) * model.scale
+        )
+        size = float(np.sqrt(np.mean(middle**2)))
+        result = max(result, float(np.sqrt(np.mean((high - low) ** 2))) / size)
+    return result
+
+
+def stability(law: Law, model: Model, z: FloatArray) -> Iterator[str]:
+    """Where the law is strongly elliptic, and its force rises, in the tests.
+
+    The pressure of an incompressible law does not enter its acoustic tensor: a law with a large
+    bulk modulus in the same state stands for it. See `model.point.stable_range` for the source.
+    """
+    tests = model.tests
+    if not isinstance(tests, HomogeneousTests) or law.linear:
+        return
+    point, lost, looked = LawAtPoints(with_finite_moduli(law)), False, False
+    for name in dict.fromkeys(mode_of(c).name for c in model.curves if c.kind != "volumetric"):
+        curves = [c for c in model.curves if mode_of(c).name == name and c.kind != "volumetric"]
+        mode, looked = mode_of(curves[0]), True
+        low = min(mode.rest, *(float(c.x.min()) for c in curves))
+        high = max(mode.rest, *(float(c.x.max()) for c in curves))
+        sides = np.linspace(low, mode.rest, _GRID), np.linspace(mode.rest, high, _GRID)
+        x = np.unique(np.concatenate(sides))
+        grid = TestCurve("shear" if name == "simple-shear" else name, x, np.ones(len(x)))
+        P = tests.predict(grid, z[None] * model.scale)[0]
+        F, rest = tests.states(grid, z[None] * model.scale), int(np.argmin(np.abs(x - mode.rest)))
+        good = acoustic_eigenvalues(point, F) > 0
+        rises = np.diff(P) > 0
+        good[:rest] &= rises[:rest]
+        good[rest + 1 :] &= rises[rest:]
+        bad = np.flatnonzero(~good)
+        first = int(bad[bad <= rest].max(initial=-1)) + 1
+        last = int(bad[bad > rest].min(initial=len(x))) - 1
+        if (first, last) != (0, len(x) - 1):
+            lost = True
+            yield (
+                f"not stable over the whole {name} test, {mode.symbol} {low:.4g} to {high:.4g}: "
+                f"only from {x[min(first, rest)]:.4g} to {x[max(last, rest)]:.4g}"
+            )
+    if looked and not lost:
+        yield "stable over the range of the tests: elliptic, and the force rises"

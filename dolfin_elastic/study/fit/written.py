@@ -1,0 +1,146 @@
+"""What a fit leaves: the table of the material, a picture, and tables of constants and curves."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from dolfin_elastic.case.toml import key_text, value_text
+from dolfin_elastic.core.files.regular import fresh
+from dolfin_elastic.core.si_text import percent
+from dolfin_elastic.core.startup.elsewhere import plain_matplotlib
+from dolfin_elastic.core.units import stress_unit
+from dolfin_elastic.results.files import make_folder, replace_text, writing
+from dolfin_elastic.study.fit.constants import table_with
+from dolfin_elastic.study.fit.curves import KINDS
+from dolfin_elastic.study.fit.fit import Fit, FittedConstant, FittedCurve
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+_DIGITS = 7
+_COLUMNS = 3
+
+
+def material_toml(name: str, fit: Fit, on: object = None) -> str:
+    """A table [materials.NAME] that a case file can have.
+
+    Args:
+        on: Regions of the material; None: everything.
+    """
+    values = {row.name: _written(row) for row in fit.constants}
+    table = table_with(fit.law, values)
+    if on is not None:
+        table["on"] = on
+    tests = ", ".join(map(_described, fit.curves))
+    table["source"] = f"fitted to {tests}; r.m.s. error over the largest stress"
+    lines = [f"{key_text(key)} = {value_text(value)}" for key, value in table.items()]
+    return "\n".join([f"[materials.{key_text(name)}]", *lines]) + "\n"
+
+
+def _described(curve: FittedCurve) -> str:
+    """A test with its error, such as "uniaxial a.csv (1.7 %)"."""
+    file = Path(curve.measured.source).name
+    return f"{curve.measured.kind} {file} ({percent(curve.relative)})".replace("  ", " ")
+
+
+def _written(row: FittedConstant) -> str | float:
+    """A number as a case file has it, moduli and times with a unit."""
+    if row.unit == "Pa":
+        size, unit = stress_unit(abs(row.value))
+        return f"{row.value / size:.{_DIGITS}g} {unit}"
+    if row.unit:
+        return f"{row.value:.{_DIGITS}g} {row.unit}"
+    return float(f"{row.value:.{_DIGITS}g}")
+
+
+def write_fit(name: str, fit: Fit, folder: Path, on: object = None) -> list[Path]:
+    """Writes all files of a fit. Not collective.
+
+    Args:
+        name: Of the material; begins the files' names.
+        folder: Where they go; made if missing.
+        on: See `material_toml`.
+
+    Returns:
+        The files.
+
+    Raises:
+        OutputError: Something cannot be written.
+    """
+    make_folder(folder)
+    begin = "".join(c if c.isalnum() or c in "-_" else "_" for c in name)
+    paths = [folder / f"{begin}{end}" for end in (".toml", "_constants.csv", "_curves.csv", ".png")]
+    replace_text(paths[0], material_toml(name, fit, on))
+    replace_text(paths[1], _constants(fit))
+    replace_text(paths[2], _curves(fit))
+    _draw(name, fit, paths[3])
+    return paths
+
+
+def _constants(fit: Fit) -> str:
+    """Constants with intervals and correlations, as CSV."""
+    names = [row.name for row in fit.fitted]
+    lines = [",".join(["constant", "unit", "value", "low", "high", *names])]
+    for i, row in enumerate(fit.fitted):
+        ends = [f"{x:.10g}" if math.isfinite(x) else "" for x in row.interval]
+        matrix = [f"{x:.6g}" for x in fit.correlation[i]]
+        lines.append(",".join([row.name, row.unit, f"{row.value:.10g}", *ends, *matrix]))
+    return "\n".join(lines) + "\n"
+
+
+def _curves(fit: Fit) -> str:
+    """What was measured beside the law, as CSV."""
+    lines = ["test,x,time,measured,fitted"]
+    for curve in fit.curves:
+        test = curve.measured
+        times = np.full(len(test.x), np.nan) if test.time is None else test.time
+        for x, t, a, b in zip(test.x, times, test.stress, curve.stress, strict=True):
+            time = f"{t:.10g}" if math.isfinite(t) else ""
+            lines.append(f"{test.kind},{x:.10g},{time},{a:.10g},{b:.10g}")
+    return "\n".join(lines) + "\n"
+
+
+@plain_matplotlib()
+def _draw(name: str, fit: Fit, path: Path) -> None:
+    """One panel for each test."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    across = min(len(fit.curves), _COLUMNS)
+    down = -(-len(fit.curves) // across)
+    figure = Figure(figsize=(1 + 4.2 * across, 3.6 * down), layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.subplots(down, across, squeeze=False).ravel()
+    for axis, curve in zip(axes, fit.curves, strict=False):
+        _panel(axis, curve)
+    for axis in axes[len(fit.curves) :]:
+        axis.axis("off")
+    figure.suptitle(name)
+    draft = path.with_name(f".{path.stem}.part{path.suffix}")
+    with writing(path):
+        figure.savefig(fresh(draft), dpi=130)
+        draft.replace(path)
+
+
+def _panel(axis: Axes, curve: FittedCurve) -> None:
+    test = curve.measured
+    size, unit = stress_unit(float(np.abs(test.stress).max()))
+    over_time = test.kind == "relaxation"
+    assert not over_time or test.time is not None
+    x = test.time if over_time and test.time is not None else test.x
+    axis.plot(x, test.stress / size, "o", color="#b0562f", markersize=4, label="measured")
+    line = (x, curve.stress) if curve.line is None else curve.line
+    axis.plot(line[0], line[1] / size, color="#1f5f8b", label="fitted")
+    head = "time [s]" if over_time else KINDS[test.kind].columns[0][0]
+    sheared = test.kind in ("shear", "volumetric")
+    what = "stress" if sheared else "Cauchy stress" if test.true else "nominal stress"
+    axis.set(title=f"{test.kind}, r.m.s. {percent(curve.relative)}", xlabel=head)
+    axis.set_ylabel(f"{what} [{unit}]")
+    if over_time and x.min() > 0 and x.max() > 30 * x.min():
+        axis.set_xscale("log")
+    axis.grid(color="#dde1e5")
+    axis.legend(fontsize=8)
