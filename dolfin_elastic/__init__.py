@@ -111,8 +111,8 @@ if TYPE_CHECKING:
     from dolfin_elastic.solvers.eigen.buckling import Buckling as Buckling
     from dolfin_elastic.solvers.eigen.modal import Modal as Modal
     from dolfin_elastic.solvers.statics.statics import Statics as Statics
-    from dolfin_elastic.study.sweep.sweep import sweep as sweep
     from dolfin_elastic.study.fit.fit import fit as fit
+    from dolfin_elastic.study.sweep.sweep import sweep as sweep
 
 _PLACES = {
     "case.case": ("Case", "read_case"),

@@ -24,7 +24,6 @@ from mpi4py import MPI
 from pydantic import PrivateAttr
 
 from dolfin_elastic.case.analysis import ANALYSES, AnalysisTables
-from dolfin_elastic.case.changed import changed_tables, value_at
 from dolfin_elastic.case.check.memory import check_elements
 from dolfin_elastic.case.curve_files import (
     has_curve_files,
@@ -36,7 +35,7 @@ from dolfin_elastic.case.field_files import with_fields
 from dolfin_elastic.case.mesh_table import Source
 from dolfin_elastic.case.model_tables import read_material_tables, with_library
 from dolfin_elastic.case.tables import Material, table_of
-from dolfin_elastic.case.toml import position, read_toml, toml_text
+from dolfin_elastic.case.toml import changed_tables, position, read_toml, toml_text, value_at
 from dolfin_elastic.core.errors import InputError, RestartError, dotted, joined
 from dolfin_elastic.core.parallel import on_root
 from dolfin_elastic.core.petsc_options import PetscOptions

@@ -1,15 +1,23 @@
-"""TOML: read with messages that show the line, and written in the layout of a case file."""
+"""TOML: read with messages that show the line, changed, and written in a case file's layout."""
 
 from __future__ import annotations
 
 import json
 import re
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Mapping, MutableMapping, MutableSequence
+from copy import deepcopy
 from pathlib import Path
 from typing import Any, cast
 
-from dolfin_elastic.core.errors import CaseError, nearest_file, not_shown, why_no_file
+from dolfin_elastic.core.errors import (
+    CaseError,
+    InputError,
+    nearest,
+    nearest_file,
+    not_shown,
+    why_no_file,
+)
 
 _BARE = re.compile(r"[A-Za-z0-9_-]+")
 
@@ -81,6 +89,117 @@ def position(tables: Mapping[str, object], where: str) -> list[int]:
             result.append(int(key))
             value = value[int(key)]
     return result
+
+
+# --- values at dotted keys ---
+
+_Inner = MutableMapping[str, object] | MutableSequence[object]
+
+
+def changed_tables(
+    tables: Mapping[str, object], values: Mapping[str, object], optional: frozenset[str]
+) -> dict[str, object]:
+    """A copy of tables in which some keys have other values.
+
+    Args:
+        tables: Of a case, as they were written.
+        values: Dotted key to its value: "materials.rubber.E", "load[0].value[2]"; rows of lists
+            also by their name, or by the part that they are on, "load.right.value".
+        optional: Tables that a case may leave out: they are made where a key is in them.
+
+    Raises:
+        InputError: There is no such table or row, with the nearest name.
+    """
+    result = _with_lists(tables)
+    for key, value in values.items():
+        *path, last = _parts(key)
+        if len(path) == 1 and path[0] in optional:
+            result.setdefault(path[0], {})
+        inner = _inside(result, path, key)
+        if isinstance(inner, MutableMapping):
+            inner[last] = value
+        else:
+            inner[_row(inner, last, key)] = value
+    return result
+
+
+def value_at(tables: Mapping[str, object], key: str) -> object:
+    """What tables have at a dotted key.
+
+    Raises:
+        InputError: They have nothing there.
+    """
+    *path, last = _parts(key)
+    return _entry(_inside(_with_lists(tables), path, key), last, key)
+
+
+def _with_lists(tables: Mapping[str, object]) -> dict[str, object]:
+    """A copy in which tuples are lists."""
+
+    def copied(value: object) -> object:
+        if isinstance(value, Mapping):
+            return {key: copied(inner) for key, inner in value.items()}
+        return list(map(copied, value)) if isinstance(value, list | tuple) else deepcopy(value)
+
+    return {key: copied(value) for key, value in tables.items()}
+
+
+def _parts(key: str) -> list[str]:
+    if parts := key_parts(key):
+        return parts
+    raise InputError(f"'{key}' is no key", expected='for example "materials.steel.E"')
+
+
+def _inside(tables: dict[str, object], path: list[str], key: str) -> _Inner:
+    """The table or list in which the last part of a key stands."""
+    inner: _Inner = tables
+    for part, after in zip(path, [*path[1:], ""], strict=True):
+        value = _entry(inner, part, key)
+        if not isinstance(value, MutableMapping | MutableSequence):
+            what = f"'{part}' is no table, and has no '{after or _parts(key)[-1]}'"
+            raise InputError(what, where=key, expected="a key of the case file")
+        inner = value
+    return inner
+
+
+def _entry(inner: _Inner, part: str, key: str) -> object:
+    """What a table has under a name, or a list in a row."""
+    if not isinstance(inner, MutableMapping):
+        return inner[_row(inner, part, key)]
+    if part not in inner:
+        raise _missing(part, inner, key)
+    return inner[part]
+
+
+def _row(rows: MutableSequence[object], part: str, key: str) -> int:
+    """The number of a row that is given by that, by its name or by its part."""
+    if part.isdigit() and int(part) < len(rows):
+        return int(part)
+    names = [_label(row) for row in rows]
+    if names.count(part) == 1:
+        return names.index(part)
+    known = [name for name in names if name]
+    numbers = f"numbers from 0 to {len(rows) - 1}" if rows else "a list that is not empty"
+    raise InputError(
+        f"the list has no row '{part}'",
+        where=key,
+        expected=nearest(part, known) if known else numbers,
+    )
+
+
+def _label(row: object) -> str:
+    """The name of a row of a list of tables, else the parts that it is on."""
+    if not isinstance(row, Mapping):
+        return ""
+    on = row.get("on", "")
+    return str(row.get("name") or ("+".join(map(str, on)) if isinstance(on, list) else on))
+
+
+def _missing(part: str, table: Mapping[str, object], key: str) -> InputError:
+    return InputError(f"the case has no '{part}' there", where=key, expected=nearest(part, table))
+
+
+# --- text ---
 
 
 def value_text(value: object) -> str:

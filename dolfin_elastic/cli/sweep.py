@@ -9,7 +9,6 @@ import subprocess
 import sys
 import time
 from contextlib import closing
-from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -31,6 +30,7 @@ _OF_MPI = ("PMIX_", "PRTE_", "OMPI_COMM_", "OMPI_UNIVERSE", "PMI_", "SLURM_")
 """Variables by which a launcher tells a process that it is one of several ranks."""
 _MOST_ROWS, _MOST_SHOWN = 40, 4
 """Rows and results of the table on the terminal; the file has all of them."""
+_PAGE = "sweep.html"
 
 
 def sweep(
@@ -172,11 +172,9 @@ def _one_by_one(sweeping: Sweep, only: int | None, *, visible: bool) -> None:
     """Computes and shows rows. Collective."""
     from dolfin_elastic.study.sweep.table import write_table
 
-    comm, known = sweeping.comm, {row.digest for row in sweeping.rows if row.ended}
+    comm = sweeping.comm
     with closing(sweeping.run(only)) as rows:
         for row in rows:
-            if row.digest in known:
-                continue
             if visible:
                 print(_line(sweeping, row), flush=True)
             results = sweeping.results()
@@ -209,6 +207,7 @@ def _end(sweeping: Sweep, *, visible: bool, stopped: bool) -> None:
     results = sweeping.results()
     if sweeping.comm.rank == 0:
         write_table(results, plot=True)
+        _write_page(results, str(sweeping.case.title or sweeping.case.name))
     if visible:
         _show(results)
     if stopped:
@@ -218,33 +217,36 @@ def _end(sweeping: Sweep, *, visible: bool, stopped: bool) -> None:
         raise Exit(AUDIT_FAILED)
 
 
+def _write_page(results: Results, title: str) -> None:
+    """Writes the page of all runs. On rank 0."""
+    from dolfin_elastic.report.sweep_page import write_sweep_page
+    from dolfin_elastic.study.sweep.table import PLOT
+
+    texts, plot = results.texts(), results.folder / PLOT
+    write_sweep_page(
+        results.folder / _PAGE,
+        title,
+        list(texts),
+        list(zip(*texts.values(), strict=True)),
+        lines=results.lines(),
+        causes=[f"run {row.number}: {row.cause}" for row in results.failed],
+        picture=plot if plot.is_file() else None,
+    )
+
+
 def _show(results: Results) -> None:
     """Prints the table, what samples say, and what was written."""
     from rich.box import SIMPLE_HEAD
     from rich.table import Table
 
     from dolfin_elastic.cli.console import TYPED, console, show_files, show_table
-    from dolfin_elastic.core.si_text import counted, scaled_unit
-    from dolfin_elastic.study.sweep.numbers import unit_of
-    from dolfin_elastic.study.sweep.settings import short_names, worded
+    from dolfin_elastic.core.si_text import counted
     from dolfin_elastic.study.sweep.table import FILES
 
-    columns, names = results.columns(), results.names[:_MOST_SHOWN]
-    short = short_names([one.key for one in results.design.settings])
-    table = Table(box=SIMPLE_HEAD, pad_edge=False)
-    cells = [[str(n) for n in columns["run"]]]
-    table.add_column("run", justify="right")
-    for key, name in short.items():
-        table.add_column(name, justify="right")
-        cells.append([worded(value) for value in columns[key]])
-    for name in names:
-        largest = max((abs(v) for v in columns[name] if isfinite(v)), default=0.0)
-        factor, unit = scaled_unit(largest, unit_of(name))
-        table.add_column(f"{name} [{unit}]" if unit else name, justify="right")
-        cells.append([f"{v / factor:.5g}" if isfinite(v) else "" for v in columns[name]])
-    table.add_column("status")
-    cells.append(columns["status"])
-    for row in list(zip(*cells, strict=True))[:_MOST_ROWS]:
+    texts, table = results.texts(_MOST_SHOWN, errors=False), Table(box=SIMPLE_HEAD, pad_edge=False)
+    for head in texts:
+        table.add_column(head, justify="left" if head == "status" else "right")
+    for row in list(zip(*texts.values(), strict=True))[:_MOST_ROWS]:
         table.add_row(*row)
     screen = console()
     show_table(screen, table)
@@ -254,7 +256,7 @@ def _show(results: Results) -> None:
         screen.tell(line.translate(TYPED))
     if results.failed:
         screen.tell(f"{counted(len(results.failed), 'run')} without a solution, see `cause`")
-    present = [name for name in FILES if (results.folder / name).is_file()]
+    present = [name for name in (*FILES, _PAGE) if (results.folder / name).is_file()]
     show_files(results.folder, [*present, f"{results.rows[0].folder} ..."])
 
 

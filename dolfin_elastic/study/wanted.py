@@ -52,7 +52,7 @@ class Wanted:
         """From the command line.
 
         Args:
-            option: That it belongs to.
+            option: Where it was given, for messages.
 
         Raises:
             InputError: It is no name, and no name with a part.

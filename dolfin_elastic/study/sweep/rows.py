@@ -65,9 +65,8 @@ def digest_of(case: Case, told: Sequence[str], petsc: Mapping[str, PetscValue]) 
     """What a run computes, as 32 hexadecimal digits. Not collective.
 
     Args:
-        case: With the values of the run.
-        told: Results that are asked for.
-        petsc: PETSc options beside the case's own.
+        told: Results that are asked for; none: the usual ones.
+        petsc: PETSc options that are not the case's own.
     """
     tables = case.to_dict()
     files = {name: _content(case.folder / name) for name in sorted(set(_texts(case.written)))}
@@ -105,7 +104,6 @@ def plan(folder: Path, rows: Sequence[tuple[Values, str]]) -> list[Row]:
     Not collective.
 
     Args:
-        folder: Of the sweep.
         rows: Values and digest of each.
 
     Raises:

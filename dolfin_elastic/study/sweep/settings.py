@@ -240,9 +240,9 @@ def design(
     Args:
         settings: With means, see `Spread.around`.
         together: The first values of all lists, then the second ones, and so on.
-        samples: Of what scatters.
+        samples: Of what scatters; by default `SAMPLES`.
         sobol: N of Sobol's indices, a power of 2: N (d + 2) runs of d settings.
-        seed: Of the samples.
+        seed: Of the samples, which are the same with the same one.
 
     Raises:
         InputError: Lists have different lengths, there is nothing to sample, or too much.

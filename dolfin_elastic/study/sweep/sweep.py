@@ -77,7 +77,7 @@ class Sweep:
             only: Number of the one row to compute; all by default.
 
         Yields:
-            Each row that has ended, with those that had before.
+            Each row that has ended here; those that had ended before are in `results`.
 
         Raises:
             InputError: No run has a result that is asked for.
@@ -96,16 +96,17 @@ class Sweep:
                 yield ended
 
     def _claimed(self, row: Row, case: Case) -> Row | None:
-        """A row that has ended; None where another process computes it. Collective."""
+        """A row that ends here; None of one that has ended or that another process computes."""
         claim = Lease(self.folder / row.folder / _CLAIM)
         if not on_root(self.comm, partial(claim.acquire, 0.0)):
             return None
         with closing(claim):
             known = on_root(self.comm, partial(files.read, self.folder, row))
-            if not known.ended:
-                known = self._solve(known, case)
-                on_root(self.comm, partial(files.write, self.folder, known))
-        return known
+            if known.ended:
+                return None
+            ended = self._solve(known, case)
+            on_root(self.comm, partial(files.write, self.folder, ended))
+        return ended
 
     def _both(self) -> Iterator[tuple[Row, Case]]:
         return zip(self.rows, self.cases, strict=True)
@@ -238,14 +239,12 @@ def planned(
 
     Args:
         case: From `read_case`, or made in Python.
-        settings: What varies.
+        settings: What varies, from `read_setting`.
         output: Folder of all results; by default that of `run` with "_sweep" at its end.
         tell: Results, as `converge --until` takes them, columns of history.csv, "frequency_1", ...;
             by default extremes, first modes and probes.
         together: First values together, second values together, and so on; else each with each.
-        samples: Of what scatters.
-        sobol: N of Sobol's indices.
-        seed: Of the samples.
+        samples: See `design`, as for `sobol` and `seed`.
         petsc: PETSc options that win over the case's own.
         comm: The ranks that compute one run together.
 

@@ -6,12 +6,12 @@ import csv
 import io
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from html import escape
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -78,7 +78,7 @@ class Results:
         if len(self.failed) == len(self.rows):
             raise SolveError(f"no run of the sweep has a solution; the first: {self.rows[0].cause}")
 
-    def columns(self) -> dict[str, list[Any]]:
+    def columns(self) -> dict[str, list[object]]:
         """The table by columns, SI units; nan where a number is not known."""
         keys, names = [one.key for one in self.design.settings], self.names
         known = [name for name in names if any(name in row.errors for row in self.rows)]
@@ -96,7 +96,30 @@ class Results:
             "cause": [row.cause for row in self.rows],
         }
 
-    def frame(self) -> Any:
+    def texts(self, most: int | None = None, *, errors: bool = True) -> dict[str, list[str]]:
+        """The table for people: heads with units to the cells below them.
+
+        Args:
+            most: Results at most.
+            errors: Beside a number the estimated error of the mesh.
+        """
+        keys, names = [one.key for one in self.design.settings], self.names[:most]
+        result = {"run": [str(row.number) for row in self.rows]}
+        for key, name in short_names(keys).items():
+            result[name] = [worded(row.values.get(key)) for row in self.rows]
+        for name in names:
+            values = [row.numbers.get(name, math.nan) for row in self.rows]
+            largest = max((abs(v) for v in values if math.isfinite(v)), default=0.0)
+            factor, unit = scaled_unit(largest, unit_of(name))
+            cells = [f"{v / factor:.5g}" if math.isfinite(v) else "" for v in values]
+            known = [row.errors.get(name, math.nan) for row in self.rows]
+            if errors:
+                pairs = zip(cells, known, strict=True)
+                cells = [f"{c} ± {percent(e)}" if math.isfinite(e) else c for c, e in pairs]
+            result[f"{name} [{unit}]" if unit else name] = cells
+        return {**result, "status": [row.status for row in self.rows]}
+
+    def frame(self) -> object:
         """The table as a pandas DataFrame, where pandas is there; else `columns`."""
         try:
             from pandas import DataFrame  # type: ignore[import-untyped]
@@ -190,7 +213,7 @@ def _summary(results: Results) -> dict[str, object]:
     }
 
 
-def _finite(table: dict[str, Any]) -> dict[str, Any]:
+def _finite(table: Mapping[str, object]) -> dict[str, object]:
     """A table with None for what is no finite number."""
     return {
         k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in table.items()

@@ -102,10 +102,8 @@ def test_nothing_is_computed_twice(folder: Path) -> None:
     def computed(values: list[str], **changes: Any) -> list[str]:
         settings = [read_setting(E, values)]
         made = planned(case.changed(changes), settings, output=folder / "out")
-        known = {row.digest for row in made.rows if row.ended}
-        rows = [row for row in made.run() if row.digest not in known]
-        seen.append(len(known))
-        return [str(row.values[E]) for row in rows]
+        seen.append(sum(row.ended for row in made.rows))
+        return [str(row.values[E]) for row in made.run()]
 
     assert computed(["1 MPa", "2 MPa"]) == ["1 MPa", "2 MPa"]
     assert computed(["3 MPa", "2 MPa", "1 MPa"]) == ["3 MPa"]
