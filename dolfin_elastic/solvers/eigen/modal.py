@@ -46,6 +46,7 @@ from dolfin_elastic.solvers.eigen.slepc import (
     Pair,
     Spectrum,
     choose_eigen,
+    thin,
     uneven,
 )
 from dolfin_elastic.solvers.linear.choice import LinearSettings
@@ -119,7 +120,7 @@ class Modal(PreloadedAnalysis):
         for region in problem.regions:
             problem.context.density(region)  # raises where there is none
         counted = self.settings.below is not None
-        self.choice = choose_eigen(problem, self.linear, counted=counted)
+        self.choice = choose_eigen(problem, self.linear, counted=counted or thin(problem))
         if counted and not self.choice.direct:
             raise InputError(
                 "modes below a frequency are counted by a factorisation, and an iterative "

@@ -174,6 +174,22 @@ def test_unstable() -> None:
     assert eigenvalues(iterative) == pytest.approx(eigenvalues(direct), rel=1e-9)
 
 
+@pytest.mark.parametrize(
+    ("cells", "degree", "direct"),
+    [((50, 50, 2), 1, True), ((30, 30, 1), 2, True), ((24, 18, 18), 1, False)],
+)
+def test_thin_bodies_have_small_factors(
+    cells: tuple[int, int, int], degree: int, direct: bool
+) -> None:
+    """Modes take them up to more unknowns; buckling does not, which would take three of them."""
+    body = box_body(size=[1, 1, 1], cells=cells)
+    loads = [Traction(on="right", value=[1e3, 0, 0])]
+    problem = Problem(body, LAW, supports=[Support(on="left")], loads=loads, degree=degree)
+    assert 20_000 < problem.num_dofs < 100_000
+    assert Modal(problem).choice.direct == direct
+    assert not Buckling(problem).choice.direct
+
+
 # --- buckling ---
 
 STEEP = StVenantKirchhoff(E=1e7, nu=0.3)
