@@ -6,7 +6,7 @@
 #include <stdint.h>
 #include <string.h>
 
-#include "widen.h"
+#include "split.h"
 
 typedef double double2 __attribute__((vector_size(16), aligned(8)));
 typedef int64_t long4 __attribute__((vector_size(32)));

@@ -1136,82 +1136,95 @@ int64_t restrict_residual_of_half(int64_t R, int64_t C, int64_t n, const int64_t
 }
 
 /* --- The cycle for eight right-hand sides at once: in place of each number of a vector there are
-   those of eight vectors. --- */
+   those of eight vectors, in as many parts as registers need.  Loops take one part of all numbers,
+   from its first on; gcc's vectors of more than a register are slower than single numbers. --- */
+
+#ifdef __AVX512F__
+#define PARTS 1
+#else
+#define PARTS 2
+#endif
+typedef double part __attribute__((vector_size(64 / PARTS), aligned(8)));
 
 INLINE void row_times_eight(const int R, int64_t first, int64_t last, const int32_t* columns,
-                            const float* a, const lanes8* x, lanes8* y)
+                            const float* a, const part* x, part* y)
 {
   for (int64_t k = first; k < last; k++)
     for (int c = 0; c < R; c++)
     {
-      const lanes8 v = x[(int64_t)R * columns[k] + c];
+      const part v = x[PARTS * ((int64_t)R * columns[k] + c)];
       for (int r = 0; r < R; r++)
         y[r] += (double)a[(k * R + c) * R + r] * v;
     }
 }
 
 /* z + S r */
-INLINE void add_scaled_eight(const int R, const float* inverse, const lanes8* r, lanes8* z)
+INLINE void add_scaled_eight(const int R, const float* inverse, const part* r, part* z)
 {
   for (int c = 0; c < R; c++)
     for (int k = 0; k < R; k++)
-      z[k] += (double)inverse[c * R + k] * r[c];
+      z[PARTS * k] += (double)inverse[c * R + k] * r[c];
 }
 
 /* r = b - A x, of one node */
 INLINE void residual_eight(const int R, int64_t i, const int64_t* start, const int32_t* columns,
-                           const float* a, const lanes8* x, const lanes8* b, lanes8* r)
+                           const float* a, const part* x, const part* b, part* r)
 {
   for (int k = 0; k < R; k++)
-    r[k] = (lanes8){0.0};
+    r[k] = (part){0.0};
   row_times_eight(R, start[i], start[i + 1], columns, a, x, r);
   for (int k = 0; k < R; k++)
-    r[k] = b[i * R + k] - r[k];
+    r[k] = b[PARTS * (i * R + k)] - r[k];
 }
 
 /* coarse += P^T r, of one node */
 INLINE void restrict_node_eight(const int R, const int C, int64_t first, int64_t last,
-                                const int32_t* p_columns, const float* p, const lanes8* r,
-                                lanes8* coarse)
+                                const int32_t* p_columns, const float* p, const part* r,
+                                part* coarse)
 {
   for (int64_t l = first; l < last; l++)
     for (int c = 0; c < C; c++)
     {
-      lanes8 sum = {0.0};
+      part sum = {0.0};
       for (int k = 0; k < R; k++)
         sum += (double)p[(l * R + k) * C + c] * r[k];
-      coarse[(int64_t)C * p_columns[l] + c] += sum;
+      coarse[PARTS * ((int64_t)C * p_columns[l] + c)] += sum;
     }
 }
 
 /* y = S b */
 INLINE void smooth_first_eight_(const int R, const int C, int64_t n, const float* inverse,
-                                const lanes8* b, lanes8* y)
+                                const part* b, part* y)
 {
   (void)C;
   for (int64_t i = 0; i < n; i++)
   {
+    part r[R];
     for (int k = 0; k < R; k++)
-      y[i * R + k] = (lanes8){0.0};
-    add_scaled_eight(R, inverse + i * R * R, b + i * R, y + i * R);
+    {
+      r[k] = b[PARTS * (i * R + k)];
+      y[PARTS * (i * R + k)] = (part){0.0};
+    }
+    add_scaled_eight(R, inverse + i * R * R, r, y + PARTS * i * R);
   }
 }
 int64_t smooth_first_eight(int64_t R, int64_t n, const float inverse[R * R * n],
                            const double b[8 * R * n], double y[8 * R * n])
 {
-  DISPATCH(R, R, smooth_first_eight_, n, inverse, (const lanes8*)b, (lanes8*)y);
+  for (int h = 0; h < PARTS; h++)
+    DISPATCH(R, R, smooth_first_eight_, n, inverse, (const part*)b + h, (part*)y + h);
   return 0;
 }
 
 /* y = x + S (b - y), of one node, where y is A x */
-INLINE void correct_eight(const int R, const float* inverse, const lanes8* x, const lanes8* b,
-                          lanes8* y)
+INLINE void correct_eight(const int R, const float* inverse, const part* x, const part* b,
+                          part* y)
 {
-  lanes8 r[R];
+  part r[R];
   for (int k = 0; k < R; k++)
   {
-    r[k] = b[k] - y[k];
-    y[k] = x[k];
+    r[k] = b[PARTS * k] - y[PARTS * k];
+    y[PARTS * k] = x[PARTS * k];
   }
   add_scaled_eight(R, inverse, r, y);
 }
@@ -1219,16 +1232,16 @@ INLINE void correct_eight(const int R, const float* inverse, const lanes8* x, co
 /* y = x + S (b - A x) */
 INLINE void smooth_eight_(const int R, const int C, int64_t n, const int64_t* start,
                           const int32_t* columns, const float* a, const float* inverse,
-                          const lanes8* x, const lanes8* b, lanes8* y)
+                          const part* x, const part* b, part* y)
 {
   (void)C;
   for (int64_t i = 0; i < n; i++)
   {
-    lanes8 r[R];
+    part r[R];
     residual_eight(R, i, start, columns, a, x, b, r);
     for (int k = 0; k < R; k++)
-      y[i * R + k] = x[i * R + k];
-    add_scaled_eight(R, inverse + i * R * R, r, y + i * R);
+      y[PARTS * (i * R + k)] = x[PARTS * (i * R + k)];
+    add_scaled_eight(R, inverse + i * R * R, r, y + PARTS * i * R);
   }
 }
 int64_t smooth_eight(int64_t R, int64_t n, const int64_t start[n + 1],
@@ -1236,20 +1249,21 @@ int64_t smooth_eight(int64_t R, int64_t n, const int64_t start[n + 1],
                      const float inverse[R * R * n], int64_t nodes, const double x[8 * R * nodes],
                      const double b[8 * R * n], double y[8 * R * n])
 {
-  DISPATCH(R, R, smooth_eight_, n, start, columns, a, inverse, (const lanes8*)x,
-           (const lanes8*)b, (lanes8*)y);
+  for (int h = 0; h < PARTS; h++)
+    DISPATCH(R, R, smooth_eight_, n, start, columns, a, inverse, (const part*)x + h,
+             (const part*)b + h, (part*)y + h);
   return 0;
 }
 
 /* coarse += P^T (b - A x) */
 INLINE void restrict_residual_eight_(const int R, const int C, int64_t n, const int64_t* start,
-                                     const int32_t* columns, const float* a, const lanes8* x,
-                                     const lanes8* b, const int64_t* p_start,
-                                     const int32_t* p_columns, const float* p, lanes8* coarse)
+                                     const int32_t* columns, const float* a, const part* x,
+                                     const part* b, const int64_t* p_start,
+                                     const int32_t* p_columns, const float* p, part* coarse)
 {
   for (int64_t i = 0; i < n; i++)
   {
-    lanes8 r[R];
+    part r[R];
     residual_eight(R, i, start, columns, a, x, b, r);
     restrict_node_eight(R, C, p_start[i], p_start[i + 1], p_columns, p, r, coarse);
   }
@@ -1262,69 +1276,81 @@ int64_t restrict_residual_eight(int64_t R, int64_t C, int64_t n, const int64_t s
                                 const float p[R * C * p_start[n] + 2], int64_t groups,
                                 double coarse[8 * C * groups])
 {
-  DISPATCH(R, C, restrict_residual_eight_, n, start, columns, a, (const lanes8*)x,
-           (const lanes8*)b, p_start, p_columns, p, (lanes8*)coarse);
+  for (int h = 0; h < PARTS; h++)
+    DISPATCH(R, C, restrict_residual_eight_, n, start, columns, a, (const part*)x + h,
+             (const part*)b + h, p_start, p_columns, p, (part*)coarse + h);
   return 0;
 }
 
 /* x += P e */
 INLINE void prolong_eight_(const int R, const int C, int64_t n, const int64_t* p_start,
-                           const int32_t* p_columns, const float* p, const lanes8* e, lanes8* x)
+                           const int32_t* p_columns, const float* p, const part* e, part* x)
 {
   for (int64_t i = 0; i < n; i++)
+  {
+    part sum[R];
+    for (int k = 0; k < R; k++)
+      sum[k] = x[PARTS * (i * R + k)];
     for (int64_t l = p_start[i]; l < p_start[i + 1]; l++)
-      for (int k = 0; k < R; k++)
-        for (int c = 0; c < C; c++)
-          x[i * R + k] += (double)p[(l * R + k) * C + c] * e[(int64_t)C * p_columns[l] + c];
+      for (int c = 0; c < C; c++)
+      {
+        const part v = e[PARTS * ((int64_t)C * p_columns[l] + c)];
+        for (int k = 0; k < R; k++)
+          sum[k] += (double)p[(l * R + k) * C + c] * v;
+      }
+    for (int k = 0; k < R; k++)
+      x[PARTS * (i * R + k)] = sum[k];
+  }
 }
 int64_t prolong_eight(int64_t R, int64_t C, int64_t n, const int64_t p_start[n + 1],
                       const int32_t p_columns[p_start[n]], const float p[R * C * p_start[n] + 2],
                       int64_t groups, const double e[8 * C * groups], double x[8 * R * n])
 {
-  DISPATCH(R, C, prolong_eight_, n, p_start, p_columns, p, (const lanes8*)e, (lanes8*)x);
+  for (int h = 0; h < PARTS; h++)
+    DISPATCH(R, C, prolong_eight_, n, p_start, p_columns, p, (const part*)e + h, (part*)x + h);
   return 0;
 }
 
 /* What row i of A x adds to y, of a matrix by the half of its blocks. */
 INLINE void multiply_row_of_half_eight(const int R, int64_t i, int64_t n, const int64_t* start,
-                                       const int32_t* columns, const float* half, const lanes8* x,
-                                       lanes8* y)
+                                       const int32_t* columns, const float* half, const part* x,
+                                       part* y)
 {
-  lanes8 s[R];
+  part s[R];
   for (int r = 0; r < R; r++)
-    s[r] = (lanes8){0.0};
+    s[r] = (part){0.0};
   for (int64_t k = start[i]; k < start[i + 1]; k++)
   {
     const int64_t j = columns[k];
     const int both = j > i && j < n;
     for (int c = 0; c < R; c++)
     {
-      lanes8 t = {0.0};
+      part t = {0.0};
       for (int r = 0; r < R; r++)
       {
         const double a = half[(k * R + c) * R + r];
-        s[r] += a * x[j * R + c];
-        t += a * x[i * R + r];
+        s[r] += a * x[PARTS * (j * R + c)];
+        t += a * x[PARTS * (i * R + r)];
       }
       if (both)
-        y[j * R + c] += t;
+        y[PARTS * (j * R + c)] += t;
     }
   }
   for (int r = 0; r < R; r++)
-    y[i * R + r] += s[r];
+    y[PARTS * (i * R + r)] += s[r];
 }
 
 /* y = x + S (b - A x) */
 INLINE void smooth_of_half_eight_(const int R, const int C, int64_t n, const int64_t* start,
                                   const int32_t* columns, const float* half, const float* inverse,
-                                  const lanes8* x, const lanes8* b, lanes8* y)
+                                  const part* x, const part* b, part* y)
 {
   (void)C;
-  memset(y, 0, sizeof(lanes8) * R * n);
   for (int64_t i = 0; i < n; i++)
   {
     multiply_row_of_half_eight(R, i, n, start, columns, half, x, y);
-    correct_eight(R, inverse + i * R * R, x + i * R, b + i * R, y + i * R);
+    const int64_t at = PARTS * i * R;
+    correct_eight(R, inverse + i * R * R, x + at, b + at, y + at);
   }
 }
 int64_t smooth_of_half_eight(int64_t R, int64_t n, const int64_t start[n + 1],
@@ -1334,25 +1360,26 @@ int64_t smooth_of_half_eight(int64_t R, int64_t n, const int64_t start[n + 1],
                              const double x[8 * R * nodes], const double b[8 * R * n],
                              double y[8 * R * n])
 {
-  DISPATCH(R, R, smooth_of_half_eight_, n, start, columns, half, inverse, (const lanes8*)x,
-           (const lanes8*)b, (lanes8*)y);
+  memset(y, 0, sizeof(double) * 8 * R * n);
+  for (int h = 0; h < PARTS; h++)
+    DISPATCH(R, R, smooth_of_half_eight_, n, start, columns, half, inverse, (const part*)x + h,
+             (const part*)b + h, (part*)y + h);
   return 0;
 }
 
 /* coarse += P^T (b - A x); y is room */
 INLINE void restrict_residual_of_half_eight_(const int R, const int C, int64_t n,
                                              const int64_t* start, const int32_t* columns,
-                                             const float* half, const lanes8* x, const lanes8* b,
+                                             const float* half, const part* x, const part* b,
                                              const int64_t* p_start, const int32_t* p_columns,
-                                             const float* p, lanes8* coarse, lanes8* y)
+                                             const float* p, part* coarse, part* y)
 {
-  memset(y, 0, sizeof(lanes8) * R * n);
   for (int64_t i = 0; i < n; i++)
   {
     multiply_row_of_half_eight(R, i, n, start, columns, half, x, y);
-    lanes8 r[R];
+    part r[R];
     for (int k = 0; k < R; k++)
-      r[k] = b[i * R + k] - y[i * R + k];
+      r[k] = b[PARTS * (i * R + k)] - y[PARTS * (i * R + k)];
     restrict_node_eight(R, C, p_start[i], p_start[i + 1], p_columns, p, r, coarse);
   }
 }
@@ -1363,7 +1390,9 @@ int64_t restrict_residual_of_half_eight(
     const float p[R * C * p_start[n] + 2], int64_t groups, double coarse[8 * C * groups],
     double y[8 * R * n])
 {
-  DISPATCH(R, C, restrict_residual_of_half_eight_, n, start, columns, half, (const lanes8*)x,
-           (const lanes8*)b, p_start, p_columns, p, (lanes8*)coarse, (lanes8*)y);
+  memset(y, 0, sizeof(double) * 8 * R * n);
+  for (int h = 0; h < PARTS; h++)
+    DISPATCH(R, C, restrict_residual_of_half_eight_, n, start, columns, half, (const part*)x + h,
+             (const part*)b + h, p_start, p_columns, p, (part*)coarse + h, (part*)y + h);
   return 0;
 }
