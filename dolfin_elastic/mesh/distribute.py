@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 import basix.ufl
 import numpy as np
@@ -18,7 +18,7 @@ from dolfin_elastic.core.compat import cell_partitioner
 from dolfin_elastic.core.errors import InputError, MeshError
 from dolfin_elastic.core.files.memory import check_memory
 from dolfin_elastic.core.parallel import agree, total
-from dolfin_elastic.core.types import FloatArray, IndexArray, IntArray
+from dolfin_elastic.core.types import AnyArray, FloatArray, IndexArray, IntArray
 from dolfin_elastic.core.units import LengthUnit
 from dolfin_elastic.mesh.body import Body
 from dolfin_elastic.mesh.faces import CadFaces
@@ -75,11 +75,9 @@ def build_body(
 
     raw = _on_root_only(comm, lambda: clean(replace(read(), unit=unit.name)), source)
     mesh = _distribute(comm, raw, unit.metres, permutation)
-    facets, ends, nodes, uncovered, incomplete = comm.bcast(
-        (raw.surfaces, raw.edges, raw.nodes, raw.uncovered, raw.incomplete) if raw else None
-    )
+    uncovered, incomplete = comm.bcast((raw.uncovered, raw.incomplete) if raw else None)
     notes, information = comm.bcast((raw.notes, raw.information) if raw else None)
-    surfaces, edges, points, lost = local_parts(mesh, facets, ends, nodes)
+    surfaces, edges, points, lost = local_parts(mesh, raw)
     incomplete = {**lost, **incomplete}
 
     def whole(parts: dict[str, IndexArray]) -> dict[str, IndexArray]:
@@ -114,26 +112,20 @@ def _one_reader(mesh: Mesh, source: str) -> list[str]:
 
 
 def local_parts(
-    mesh: Mesh,
-    facets: Mapping[str, IntArray],
-    ends: Mapping[str, IntArray],
-    nodes: Mapping[str, IntArray],
+    mesh: Mesh, raw: RawMesh | None
 ) -> tuple[dict[str, IndexArray], dict[str, IndexArray], dict[str, IndexArray], dict[str, str]]:
     """Local facets, edges and nodes of named parts, shared ones included. Collective.
 
     Args:
         mesh: The mesh; it knows the points of the file by their rows.
-        facets: Name of a surface to the vertices of its facets; all by their rows in the file, and
-            the same on all ranks.
-        ends: Name of an edge to the vertices of its mesh edges; in three dimensions only.
-        nodes: Name of a point to its nodes.
+        raw: The content of the file, on rank 0 only.
 
     Returns:
         Surfaces, edges, points; and name to reason of those of which members are missing.
     """
-    surfaces, lost = _entities(mesh, facets, mesh.topology.dim - 1)
-    edges, lost_edges = _entities(mesh, ends, 1)
-    return surfaces, edges, _points(mesh, nodes), {**lost, **lost_edges}
+    surfaces, lost = _entities(mesh, raw.surfaces if raw else None, mesh.topology.dim - 1)
+    edges, lost_edges = _entities(mesh, raw.edges if raw else None, 1)
+    return surfaces, edges, _points(mesh, raw.nodes if raw else None), {**lost, **lost_edges}
 
 
 def left_out(incomplete: Mapping[str, str]) -> list[str]:
@@ -243,21 +235,19 @@ def _regions(mesh: Mesh, raw: RawMesh | None) -> dict[str, IndexArray]:
 
 def _faces(mesh: Mesh, raw: RawMesh | None, unit: LengthUnit) -> CadFaces | None:
     """The faces of the CAD model that was meshed, and the local facets on them. Collective."""
-    faces, of_faces = mesh.comm.bcast((raw.faces, raw.face_facets) if raw else None)
+    faces = mesh.comm.bcast(raw.faces if raw else None)
     if not faces:
         return None
-    from dolfin_elastic.mesh.formats.raw import match_rows
-
-    known = {face.number: face for face in faces}
-    cad = CadFaces(known, mesh.topology.dim, unit)
+    d = mesh.topology.dim
+    cad = CadFaces({face.number: face for face in faces}, d, unit)
+    of_faces, _ = _entities(mesh, raw.face_facets if raw else None, d - 1)
     if not of_faces:
         return cad
-    vertices = np.sort(np.concatenate(list(of_faces.values())), axis=1)
+    facets = np.concatenate(list(of_faces.values()))
     numbers = np.repeat(list(of_faces), [len(rows) for rows in of_faces.values()])
-    facets, keys = _candidates(mesh, np.unique(vertices), mesh.topology.dim - 1)
-    at = match_rows(vertices, keys) if len(keys) else np.empty(0, dtype=np.int64)
-    facets, numbers = facets[at >= 0], numbers[at[at >= 0]]
-    own = facets < mesh.topology.index_map(mesh.topology.dim - 1).size_local
+    order = np.argsort(facets, kind="stable")
+    facets, numbers = facets[order], numbers[order]
+    own = facets < mesh.topology.index_map(d - 1).size_local
     inner = set(numbers[own & ~np.isin(facets, boundary_facets(mesh))].tolist())
     inside = frozenset[int]().union(*mesh.comm.allgather(inner))
     return replace(cad, facets=facets, numbers=numbers, inside=inside)
@@ -268,64 +258,142 @@ def _known_surface(mesh: Mesh, raw: RawMesh | None) -> KnownSurface | None:
 
     The normals of a face may point to either side: here they point out of the body.
     """
-    of_faces, of_each = mesh.comm.bcast((raw.face_facets, raw.face_normals) if raw else None)
-    if not of_each:
+    comm, d = mesh.comm, mesh.topology.dim
+    if not comm.bcast(len(raw.face_normals) if raw else None):
         return None
-    from dolfin_elastic.mesh.formats.raw import match_rows
-
-    d = mesh.topology.dim
-    vertices = np.concatenate([of_faces[n] for n in of_each])
-    given = np.concatenate(list(of_each.values()))[..., :d]
-    order = np.argsort(vertices, axis=1)
-    vertices = np.take_along_axis(vertices, order, axis=1)
-    given = np.take_along_axis(given, order[..., None], axis=1)
     facets = boundary_facets(mesh)
-    result = np.full((len(facets), d, d), np.nan)
-    if len(facets) and len(vertices):
-        own = np.asarray(mesh.geometry.input_global_indices)[facet_nodes(mesh, facets)]
-        order = np.argsort(own, axis=1)
-        at = match_rows(vertices, np.take_along_axis(own, order, axis=1))
-        sorted_ones = np.where((at >= 0)[:, None, None], given[at], np.nan)
-        np.put_along_axis(result, order[..., None], sorted_ones, axis=1)
+    rows = np.asarray(mesh.geometry.input_global_indices)[facet_nodes(mesh, facets)]
+    rows = rows.reshape(-1, d)
+    order = np.argsort(rows, axis=1)
+    table = _Table(np.take_along_axis(rows, order, axis=1))
+    sorted_ones = np.full((len(facets), d, d), np.nan)
+    given: dict[int, tuple[AnyArray, ...]] | None = None
+    if raw is not None:
+        given = {n: (raw.face_facets[n], one) for n, one in raw.face_normals.items()}
+    for _, (vertices, normals) in _from_root(comm, given):
+        turn = np.argsort(vertices, axis=1)
+        at = table.find(np.take_along_axis(vertices, turn, axis=1))
+        here = np.take_along_axis(normals[..., :d], turn[..., None], axis=1)
+        sorted_ones[at[at >= 0]] = here[at >= 0]
+    result = np.full_like(sorted_ones, np.nan)
+    np.put_along_axis(result, order[..., None], sorted_ones, axis=1)
     outward = np.einsum("fkj,fj->f", result, outward_normals(mesh, facets)) >= 0
     return KnownSurface(
         np.where(outward[:, None, None], result, -result), None, np.full(len(facets), np.nan)
     )
 
 
+AT_ONCE = 1 << 16
+"""Rows that rank 0 sends to all at a time: no rank has the names of the whole surface."""
+
+Key = TypeVar("Key", str, int)
+
+
+def _from_root(
+    comm: MPI.Comm, tables: Mapping[Key, tuple[AnyArray, ...]] | None
+) -> Iterator[tuple[Key, tuple[AnyArray, ...]]]:
+    """The rows of tables of rank 0, some at a time, on all ranks. Collective.
+
+    Args:
+        comm: The ranks that share the mesh.
+        tables: Arrays with as many rows each, by name; on rank 0 only.
+    """
+    sizes = comm.bcast({n: len(t[0]) for n, t in tables.items()} if tables is not None else None)
+    for name, size in sizes.items():
+        for first in range(0, size, AT_ONCE):
+            part = slice(first, first + AT_ONCE)
+            rows = None
+            if tables is not None:
+                rows = tuple(np.ascontiguousarray(one[part]) for one in tables[name])
+            yield name, comm.bcast(rows)
+
+
+class _Table:
+    """Finds rows of numbers among some that are all different. Local.
+
+    Column by column: what was found of a row so far has a number, which with that of the next
+    column makes one number that is searched for among the sorted ones.
+
+    Args:
+        rows: Numbers that are not negative, shape (n, k).
+    """
+
+    def __init__(self, rows: IntArray) -> None:
+        self._base, self._levels = int(rows.max(initial=0)) + 1, list[IntArray]()
+        code: AnyArray = np.zeros(len(rows), dtype=np.int64)
+        for column in rows.T:
+            level, code = np.unique(code * self._base + column, return_inverse=True)
+            self._levels.append(level)
+        self._order = np.argsort(code.reshape(-1))
+
+    def find(self, rows: IntArray) -> IntArray:
+        """Index of each row, or -1, shape (m,).
+
+        Args:
+            rows: Shape (m, k).
+        """
+        from dolfin_elastic.mesh.formats.raw import find
+
+        code: IntArray = np.zeros(len(rows), dtype=np.int64)
+        for level, column in zip(self._levels, rows.T, strict=True):
+            known = (code >= 0) & (column < self._base)
+            code = find(level, np.where(known, code * self._base + column, -1))
+        return np.where(code >= 0, self._order[code], -1) if len(self._order) else code
+
+
 def _entities(
-    mesh: Mesh, named: Mapping[str, IntArray], dim: int
-) -> tuple[dict[str, IndexArray], dict[str, str]]:
+    mesh: Mesh, named: Mapping[Key, IntArray] | None, dim: int
+) -> tuple[dict[Key, IndexArray], dict[Key, str]]:
     """Local facets or edges of each name, shared ones included, and messages about missing ones.
 
     Collective.
 
     Args:
-        named: Name to the vertices of each, by their rows in the file; the same on all ranks.
+        named: Name to the vertices of each, by their rows in the file; on rank 0 only.
     """
-    if not named:
+    comm = mesh.comm
+    wanted: dict[Key, tuple[AnyArray, ...]] | None = None
+    if named is not None:
+        wanted = {n: (np.unique(np.sort(e, axis=1), axis=0),) for n, e in named.items()}
+    sizes = comm.bcast({n: len(w[0]) for n, w in wanted.items()} if wanted is not None else None)
+    if not sizes:
         return {}, {}
-    from dolfin_elastic.mesh.formats.raw import match_rows
-
-    rows = np.unique(np.concatenate([f.ravel() for f in named.values()]))
-    entities, keys = _candidates(mesh, rows, dim)
+    entities, keys = _candidates(mesh, None if named is None else list(named.values()), dim)
+    table = _Table(keys)
+    found: dict[Key, list[IntArray]] = {name: [] for name in sizes}
+    missed = dict.fromkeys(sizes, 0)
+    for name, (rows,) in _from_root(comm, wanted):
+        at = table.find(rows)
+        hit = np.ascontiguousarray(at >= 0, dtype=np.int32)
+        comm.Allreduce(MPI.IN_PLACE, hit, op=MPI.MAX)
+        missed[name] += int(np.count_nonzero(hit == 0))
+        found[name].append(at[at >= 0])
     things = "facets" if dim == mesh.topology.dim - 1 else "edges"
     parts, lost = {}, {}
-    for name, ends in named.items():
-        wanted = np.unique(np.sort(ends, axis=1), axis=0)
-        at = match_rows(keys, wanted)
-        hit = np.ascontiguousarray(at >= 0, dtype=np.int32)
-        mesh.comm.Allreduce(MPI.IN_PLACE, hit, op=MPI.MAX)
-        missed = int(np.count_nonzero(hit == 0))
-        if missed < len(wanted):
-            parts[name] = np.sort(entities[at[at >= 0]]).astype(np.int32)
-        if missed:
-            lost[name] = f"{missed} of its {len(wanted)} {things} are no {things} of an element"
+    for name, size in sizes.items():
+        if missed[name] < size:
+            parts[name] = np.sort(entities[np.concatenate(found[name])]).astype(np.int32)
+        if missed[name]:
+            lost[name] = f"{missed[name]} of its {size} {things} are no {things} of an element"
     return parts, lost
 
 
-def _candidates(mesh: Mesh, nodes: IntArray, dim: int) -> tuple[IndexArray, IntArray]:
-    """Local facets or edges whose vertices are all in a set of rows of the file. Collective."""
+def _candidates(
+    mesh: Mesh, wanted: Sequence[IntArray] | None, dim: int
+) -> tuple[IndexArray, IntArray]:
+    """Local facets or edges whose vertices all are among those of some rows. Collective.
+
+    Args:
+        wanted: Rows of vertices, by their rows in the file; on rank 0 only, which sends one bit
+            for each point of the file.
+    """
+    bits = None
+    if wanted is not None:
+        inside = np.zeros(max(int(rows.max(initial=0)) for rows in wanted) + 1, dtype=bool)
+        for rows in wanted:
+            inside[rows] = True
+        bits = np.packbits(inside)
+    bits = np.asarray(mesh.comm.bcast(bits))
     facets = dim == mesh.topology.dim - 1
     if not facets:
         prepare_edges(mesh)
@@ -334,16 +402,20 @@ def _candidates(mesh: Mesh, nodes: IntArray, dim: int) -> tuple[IndexArray, IntA
     if len(every) == 0:
         return every, np.empty((0, dim + 1), dtype=np.int64)
     vertices = (facet_nodes if facets else edge_nodes)(mesh, every)
-    original = np.asarray(mesh.geometry.input_global_indices)[vertices]
-    inside = np.isin(original, nodes).all(axis=1)
-    return every[inside], np.sort(original[inside], axis=1)
+    known = np.asarray(mesh.geometry.input_global_indices)
+    marked = np.zeros(len(known), dtype=bool)
+    within = known < 8 * len(bits)
+    marked[within] = bits[known[within] >> 3] >> (7 - (known[within] & 7)) & 1
+    chosen = marked[vertices].all(axis=1)
+    return every[chosen], np.sort(known[vertices[chosen]], axis=1)
 
 
-def _points(mesh: Mesh, named: Mapping[str, IntArray]) -> dict[str, IndexArray]:
-    """Local geometry nodes of each name, from the same rows of the file on all ranks. Local."""
-    rows = np.asarray(mesh.geometry.input_global_indices)
-    return {
-        name: np.flatnonzero(np.isin(rows, nodes)).astype(np.int32)
-        for name, nodes in named.items()
-        if len(nodes)
-    }
+def _points(mesh: Mesh, named: Mapping[str, IntArray] | None) -> dict[str, IndexArray]:
+    """Local geometry nodes of each name, by their rows in the file on rank 0. Collective."""
+    rows, result = np.asarray(mesh.geometry.input_global_indices), dict[str, list[IntArray]]()
+    tables: dict[str, tuple[AnyArray, ...]] | None = None
+    if named is not None:
+        tables = {name: (nodes,) for name, nodes in named.items()}
+    for name, (nodes,) in _from_root(mesh.comm, tables):
+        result.setdefault(name, []).append(np.flatnonzero(np.isin(rows, nodes)))
+    return {name: np.unique(np.concatenate(at)).astype(np.int32) for name, at in result.items()}

@@ -111,6 +111,7 @@ POINTS = {
 """Tests of numbers and texts, and of rates, in which ranks take no part, and of programs that start
 ranks themselves: on one rank only."""
 LAWS = {
+    "case/check/test_check_damping.py",
     "case/check/test_check_report.py",
     "case/check/test_degree.py",
     "study/converge/test_converge.py",
@@ -166,6 +167,7 @@ SHARED = {
     "mesh/test_parts.py",
     "mesh/test_read.py",
     "mesh/test_refine.py",
+    "mesh/test_sent_names.py",
     "model/loads/test_bearing.py",
     "model/loads/test_loads.py",
     "model/loads/test_pressure.py",
