@@ -23,6 +23,7 @@ CASES = sorted(path for path in DEMOS.glob("*/*.toml") if path.stem != "law")
 # They take longest: the other demos run the same paths in the quick set.
 LONG = {
     "bounce",
+    "bracket_sweep",
     "brain",
     "bridge",
     "bunnies",
@@ -56,6 +57,7 @@ def runs() -> Iterator[Any]:
 
 
 CHECKED = {  # what a script says last about its number
+    "bracket_sweep": r"the deviations of the samples are those of the scatter",
     "tetrahedron": r"largest relative difference: \d\.\de-1\d",
     "duck": r"largest stress 21\d kPa \+- \d %",
     "tipping": r"height 93 mm -> 83\.0\d mm",

@@ -30,6 +30,9 @@ _SPREAD = re.compile(r"\s*([a-z]+)\s*\((.*)\)\s*")
 _EXAMPLE = 'for example "normal(210 GPa, 3 %)" or "uniform(1 MPa, 2 MPa)"'
 SAMPLES = 20
 """Samples unless their number is given."""
+_FEW = 500
+"""Samples of which columns are permuted until they are hardly correlated: beyond, chance suffices,
+and that takes seconds."""
 MOST = 100_000
 """Runs of a sweep."""
 
@@ -310,7 +313,9 @@ def _fractions(d: int, samples: int, sobol: int | None, seed: int) -> FloatArray
     from scipy.stats import qmc
 
     if sobol is None:
-        return np.asarray(qmc.LatinHypercube(d, rng=np.random.default_rng(seed)).random(samples))
+        better = "random-cd" if d > 1 and samples <= _FEW else None
+        cube = qmc.LatinHypercube(d, rng=np.random.default_rng(seed), optimization=better)
+        return np.asarray(cube.random(samples))
     both = qmc.Sobol(2 * d, rng=np.random.default_rng(seed)).random(sobol)
     A, B = both[:, :d], both[:, d:]
     mixed = []
