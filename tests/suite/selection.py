@@ -168,6 +168,7 @@ SHARED = {
     "mesh/test_read.py",
     "mesh/test_refine.py",
     "mesh/test_sent_names.py",
+    "mesh/test_shared_faults.py",
     "model/loads/test_bearing.py",
     "model/loads/test_loads.py",
     "model/loads/test_pressure.py",

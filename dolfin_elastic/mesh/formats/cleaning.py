@@ -284,11 +284,11 @@ def check_distributed(comm: MPI.Comm, cells: IntArray, points: int, dim: int) ->
     collapsed = int(total(comm, int((corners[:, 1:] == corners[:, :-1]).any(axis=1).sum())))
     if collapsed:
         raise MeshError(f"{collapsed} elements use the same point twice", expected="remesh")
-    twice = int(total(comm, _repeated(comm, corners, 1)))
+    twice = int(total(comm, _repeated(comm, corners, corners.sum(axis=1)[None], 1)))
     if twice:
         raise MeshError(f"{twice} duplicate elements", expected="save each element once")
-    facets = np.concatenate([np.delete(corners, i, axis=1) for i in range(dim + 1)])
-    branching = int(total(comm, _repeated(comm, facets, 2)))
+    sums = corners.sum(axis=1) - corners.T  # of the facet without each corner
+    branching = int(total(comm, _repeated(comm, corners, sums, 2)))
     if branching:
         raise MeshError(
             f"{branching} facets lie between three or more elements: the mesh overlaps itself",
@@ -335,9 +335,26 @@ def _out_of_range(cells: IntArray, points: int) -> MeshError | None:
     return MeshError(f"elements refer to the point {bad[0]}, but there are {points} points")
 
 
-def _repeated(comm: MPI.Comm, rows: IntArray, most: int) -> int:
-    """Number of rows that occur more than `most` times, each on one rank. Collective."""
-    target = rows.sum(axis=1) % comm.size
-    parts = comm.alltoall([rows[target == rank] for rank in range(comm.size)])
-    _, counts = np.unique(np.concatenate(parts), axis=0, return_counts=True)
-    return int(np.count_nonzero(counts > most))
+_AT_ONCE = 1 << 18
+"""Rows of a rank that are compared at a time: sorting them takes several times their memory."""
+
+
+def _repeated(comm: MPI.Comm, corners: IntArray, sums: IntArray, most: int) -> int:
+    """Number of cells or facets that occur more than `most` times, each on one rank. Collective.
+
+    Args:
+        corners: Points of cells in ascending order, shape (cells, corners).
+        sums: Of the points of the cells, shape (1, cells), or of their facets without each
+            corner, shape (corners, cells): equal ones go to the same rank at the same time.
+    """
+    rounds = 1 + int(comm.allreduce(sums.size, op=MPI.MAX)) // _AT_ONCE
+    groups, result = sums % (comm.size * rounds), 0
+    for first in range(0, comm.size * rounds, comm.size):
+        sent = []
+        for group in range(first, first + comm.size):
+            rows = [corners[one == group] for one in groups]
+            facets = [np.delete(some, i, axis=1) for i, some in enumerate(rows)]
+            sent.append(np.concatenate(facets) if len(rows) > 1 else rows[0])
+        _, counts = np.unique(np.concatenate(comm.alltoall(sent)), axis=0, return_counts=True)
+        result += int(np.count_nonzero(counts > most))
+    return result
