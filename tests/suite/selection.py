@@ -97,6 +97,8 @@ POINTS = {
     "study/sweep/test_sweep_command.py",
     "study/sweep/test_sweep_settings.py",
     "study/fit/test_fit.py",
+    "study/fit/test_fit_input.py",
+    "study/fit/test_fit_over_time.py",
     "test_docs.py",
     "test_install.py",
     "test_layout.py",

@@ -50,6 +50,7 @@ class Constant:
         low: Least value.
         high: Largest value.
         held: Why it is not fitted; empty: it is.
+        scale: Its size.
     """
 
     name: str
@@ -58,11 +59,7 @@ class Constant:
     low: float
     high: float
     held: str = ""
-
-    @property
-    def scale(self) -> float:
-        """Its size."""
-        return abs(self.start) or 1.0
+    scale: float = 1.0
 
 
 def constants_of(law: Law) -> list[Constant]:
@@ -142,21 +139,30 @@ def chosen(
     held = {row.name for name in fix for row in _named(rows, name)}
     limits = {row.name: value for name, value in bounds.items() for row in _named(rows, name)}
     volumetric = any(curve.kind == "volumetric" for curve in curves)
-    result = []
+    result, size = [], _stiffness(curves)
     for row in rows:
         why = ""
         if row.name in held:
             why = "fixed by --fix"
         elif row.name in VOLUME and not volumetric and row.name not in {*marked, *limits}:
             why = "fixed: only a volumetric test shows it"
-        elif row.name == "kinematic" and row.start == 0:
-            why = "fixed"
+        elif not _given(law, row.name) and row.name not in {*marked, *limits}:
+            why = "fixed: its default"
         new = _bounded(row, limits[row.name]) if row.name in limits else row
-        result.append(replace(new, held=why))
+        scale = abs(new.start) or (size if new.unit == "Pa" else 1.0)
+        result.append(replace(new, held=why, scale=scale))
     if all(row.held for row in result):
         reasons = ", ".join(f"{row.name} ({row.held})" for row in result)
         raise CaseError(f"nothing is left to fit: {reasons}", where="--fix")
     return result
+
+
+def _given(law: Law, name: str) -> bool:
+    """Whether a constant is in the law's table."""
+    head, _, key = name.partition(".")
+    if head == "hardening" and key and (curve := _voce(law)) is not None:
+        return key in curve.model_fields_set
+    return head.partition("[")[0] in law.model_fields_set
 
 
 def _top(row: Constant) -> str:
@@ -345,6 +351,10 @@ def guessed(table: Mapping[str, object], curves: Sequence[TestCurve]) -> dict[st
             value = size / (1 + index) * (-1 if _EXPONENTS[index % 5] < 0 else 1)
         elif key in ("c20", "c30"):
             value = 1e-3 * size
+        elif key == "E":
+            value = 3 * size
+        elif key in ("hardening", "kinematic", "slope"):
+            value = 0.03 * size
         elif key in ("yield", "yield_stress"):
             value = 0.5 * max(float(np.abs(curve.stress).max()) for curve in curves)
         elif key == "saturation":
@@ -358,8 +368,8 @@ def _stiffness(curves: Sequence[TestCurve]) -> float:
     slopes = []
     for curve in curves:
         strain = np.abs(curve.x - (0.0 if curve.kind == "shear" else 1.0))
-        good = strain > 0
-        if curve.kind != "volumetric" and good.any():
-            ratio = np.abs(curve.stress[good]) / strain[good]
-            slopes.append(float(np.median(ratio)) / 3)
+        first = np.flatnonzero(strain > 0)[:3]
+        if curve.kind != "volumetric" and len(first):
+            ratio = np.abs(curve.stress[first]) / strain[first]
+            slopes.append(float(np.median(ratio)) / (1 if curve.kind == "shear" else 3))
     return float(np.median(slopes)) if slopes else 1e6

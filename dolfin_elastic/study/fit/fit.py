@@ -244,7 +244,8 @@ def _result(start: Law, model: Model, constants: list[Constant], answer: Answer)
     except InputError as error:
         law = start.with_values({})
         notes.append(f"the law does not accept these constants: {error}")
-        answer = replace(answer, ended=False, why="the law does not accept its constants")
+        why = "the law does not accept its constants" if answer.ended else answer.why
+        answer = replace(answer, ended=False, why=why)
     stresses = np.split(
         model.stresses(answer.z[None])[0], np.cumsum([len(c.x) for c in model.curves])[:-1]
     )

@@ -40,8 +40,10 @@ _MODES: Mapping[str, DeformationMode] = {
 _ITERATIONS = 40
 _LARGEST_CHANGE = 0.3
 """Of a free stretch in one iteration, over itself."""
-_NEAR = 1e-10
-"""Last change of the free parts of F: its square is round-off."""
+_SWEEPS = 60
+"""Iterations of a whole history."""
+_NEAR, _GOOD = 1e-10, 1e-6
+"""Last change of the free parts of F, whose square is round-off; and one that is still good."""
 
 
 def mode_of(curve: TestCurve) -> DeformationMode:
@@ -162,29 +164,33 @@ class HomogeneousTests:
         return self._equilibrium(mode_of(curve), F, step, arrays), step, arrays
 
     def _over_time(self, curve: TestCurve, rows: FloatArray) -> FloatArray:
-        """The same step by step, from a body at rest."""
+        """The same over time, from a body at rest.
+
+        The whole history is iterated together: F at all times by Newton's method, and what the past
+        adds from the stresses of the F before. As the past is known where it begins, the errors
+        leave step by step, and fast where the volume hardly changes.
+        """
         assert curve.time is not None
-        ratios, times, lasting = self._branches(rows)
-        arrays, m = self._symbolic.arrays(rows), len(rows)
-        stretches, t = curve.x, curve.time
-        if curve.kind == "relaxation":  # the sudden stretch comes first
-            stretches, t = np.insert(stretches, 0, stretches[0]), np.insert(t, 0, 0.0)
-        S: FloatArray = np.zeros((m, 3, 3))
-        h: FloatArray = np.zeros((m, ratios.shape[1], 3, 3))
-        F, found = self._guess(curve, np.full(m, 1.0)), []
-        steps = np.diff(t, prepend=0.0 if curve.kind == "relaxation" else min(t[0], 0.0))
-        for stretch, dt in zip(stretches, steps, strict=True):
-            x = dt / times
-            e, f = np.exp(-x), np.where(x > 0, -np.expm1(-x) / np.where(x > 0, x, 1.0), 1.0)
-            past = e[..., None, None] * h - f[..., None, None] * S[:, None]
-            weighted = np.einsum("mb,mbij->mij", ratios, past)
-            step = _Step(weighted, lasting + (ratios * f).sum(axis=1))
-            guess = self._guess(curve, np.full(m, stretch))
-            F = self._equilibrium(mode_of(curve), guess, step, arrays)
-            found.append(self._measured(curve, F, step, arrays))
-            S = self._S(F, step.H, step.instant, *arrays)
-            h = past + f[..., None, None] * S[:, None]
-        return np.stack(found[-len(curve.x) :], axis=1)
+        m, (x, t, used) = len(rows), _history(curve)
+        arrays = [np.repeat(array, len(x), axis=0) for array in self._symbolic.arrays(rows)]
+        branches = self._branches(rows)
+        steps = np.diff(t, prepend=0.0 if curve.kind == "relaxation" else min(float(t[0]), 0.0))
+        F = self._guess(curve, np.tile(x, m))
+        step = _Step(np.zeros_like(F), np.repeat(branches[2], len(x)))
+        mode = mode_of(curve)
+        change: FloatArray = np.full(len(F), np.inf)
+        with np.errstate(all="ignore"):
+            for _ in range(_SWEEPS):
+                S = self._S(F, step.H, step.instant, *arrays).reshape(m, len(x), 3, 3)
+                step = _past(S, steps, *branches)
+                if self.incompressible:
+                    break
+                F, change = self._newton(mode, F, step, arrays)
+                if not (change > _NEAR).any():
+                    break
+        if not self.incompressible:
+            F[~(change <= _GOOD)] = np.nan
+        return self._measured(curve, F, step, arrays).reshape(m, -1)[:, used:]
 
     def _guess(self, curve: TestCurve, values: FloatArray) -> FloatArray:
         """F whose free stretches are those of a law with the same Poisson's ratio; (n, 3, 3)."""
@@ -207,22 +213,28 @@ class HomogeneousTests:
         """The state near F whose free sides bear no stress; nan where there is none."""
         if self.incompressible or not mode.free:
             return F
-        i, j = np.array(mode.free).T
-        F, scale = F.copy(), np.sqrt(np.abs(F[:, i, i] * F[:, j, j]))
-        change: FloatArray = np.full((len(F), len(i)), np.inf)
+        F, change = F.copy(), np.asarray(np.full(len(F), np.inf))
         with np.errstate(all="ignore"):
             for _ in range(_ITERATIONS):
-                at = (F, step.H, step.instant, *arrays)
-                change = _solved(
-                    self._A(*at)[:, i[:, None], j[:, None], i, j], self._P(*at)[:, i, j]
-                )
-                size = np.abs(change / scale).max(axis=1)
-                limit = np.minimum(1.0, _LARGEST_CHANGE / np.maximum(size, 1e-300))
-                F[:, i, j] -= change * limit[:, None]
-                if not (size > _NEAR).any():
+                F, change = self._newton(mode, F, step, arrays)
+                if not (change > _NEAR).any():
                     break
-            F[~(np.abs(change / scale).max(axis=1) <= 1e-6)] = np.nan
+        F[~(change <= _GOOD)] = np.nan
         return F
+
+    def _newton(
+        self, mode: DeformationMode, F: FloatArray, step: _Step, arrays: Sequence[FloatArray]
+    ) -> tuple[FloatArray, FloatArray]:
+        """One iteration, and how far it went over the stretches, shape (n,)."""
+        i, j = np.array(mode.free).T
+        scale, at = np.sqrt(np.abs(F[:, i, i] * F[:, j, j])), (F, step.H, step.instant, *arrays)
+        matrix = self._A(*at)[:, i[:, None], j[:, None], i, j]
+        change = _solved(matrix, self._P(*at)[:, i, j])
+        size = np.abs(change / scale).max(axis=1)
+        limit = np.minimum(1.0, _LARGEST_CHANGE / np.maximum(size, 1e-300))
+        F = F.copy()
+        F[:, i, j] -= change * limit[:, None]
+        return F, np.asarray(size)
 
     def _measured(
         self, curve: TestCurve, F: FloatArray, step: _Step, arrays: Sequence[FloatArray]
@@ -243,6 +255,36 @@ class HomogeneousTests:
         if curve.true and not linear and mode.name != "simple-shear":
             value = value * F[:, 0, 0] / np.linalg.det(F)
         return np.asarray(value)
+
+
+def _history(curve: TestCurve) -> tuple[FloatArray, FloatArray, int]:
+    """Stretches and times of all steps, and the first that was measured."""
+    assert curve.time is not None
+    if curve.kind != "relaxation":
+        return curve.x, curve.time, 0
+    # The sudden stretch comes first.
+    return np.concatenate([curve.x[:1], curve.x]), np.concatenate([[0.0], curve.time]), 1
+
+
+def _past(
+    S: FloatArray, steps: FloatArray, ratios: FloatArray, times: FloatArray, lasting: FloatArray
+) -> _Step:
+    """What the past adds in all steps, by the recursion of `materials.viscous`.
+
+    Args:
+        S: Second Piola-Kirchhoff stress that relaxes, at the end of each step [Pa], (m, n, 3, 3).
+        steps: Their lengths [s], shape (n,).
+    """
+    x = steps[None, :, None] / times[:, None]  # (m, n, b)
+    e, f = np.exp(-x), np.where(x > 0, -np.expm1(-x) / np.where(x > 0, x, 1.0), 1.0)
+    before = np.concatenate([np.zeros_like(S[:, :1]), S[:, :-1]], axis=1)
+    h, H = np.zeros((*ratios.shape, 3, 3)), np.empty_like(S)
+    for n in range(len(steps)):
+        past = e[:, n, :, None, None] * h - f[:, n, :, None, None] * before[:, n, None]
+        H[:, n] = np.einsum("mb,mbij->mij", ratios, past)
+        h = past + f[:, n, :, None, None] * S[:, n, None]
+    instant = lasting[:, None] + np.einsum("mb,mnb->mn", ratios, f)
+    return _Step(H.reshape(-1, 3, 3), instant.ravel())
 
 
 def _solved(matrix: AnyArray, right: AnyArray) -> FloatArray:

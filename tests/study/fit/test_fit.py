@@ -7,6 +7,8 @@ import pytest
 from conftest import ROOT
 
 from dolfin_elastic import MooneyRivlin, NeoHookean, Yeoh, fit
+from dolfin_elastic.study.fit.curves import TestCurve
+from dolfin_elastic.study.fit.homogeneous import HomogeneousTests
 
 pytestmark = pytest.mark.usefixtures("serial_only")
 TRELOAR = ROOT / "demos" / "treloar"
@@ -103,9 +105,6 @@ def test_compressible_material_by_a_volumetric_test():
     """Free sides are found by Newton's method; the truth comes back from exact curves."""
     true = NeoHookean(mu=0.4e6, K=3e6)
     s, J = np.linspace(0.7, 2.0, 14), np.linspace(0.8, 1.1, 7)
-    from dolfin_elastic.study.fit.curves import TestCurve
-    from dolfin_elastic.study.fit.homogeneous import HomogeneousTests
-
     tests = HomogeneousTests(true, [])
     none = np.zeros((1, 0))
     pull = tests.predict(TestCurve("uniaxial", s, np.ones_like(s)), none)[0]
@@ -127,3 +126,51 @@ def test_intervals_hold_the_truth():
         ends = [found[name].interval for name in ("c10", "c01")]
         held.append([low <= x <= high for x, (low, high) in zip(true, ends, strict=True)])
     assert all(90 <= count <= 98 for count in np.sum(held, axis=0))
+
+
+def test_intervals_of_an_exponent_from_two_tests_of_different_scatter():
+    """The same where the model is linearised, and each test has a scatter of its own."""
+    mu, alpha, s = 0.3e6, 2.6, np.linspace(1.1, 2.5, 16)
+    exact = {
+        kind: mu * (s ** (alpha - 1) - s ** (MODES[kind] * alpha - 1))
+        for kind in ("uniaxial", "planar")
+    }
+    law = {"law": "ogden", "mu": ["0.2 MPa"], "alpha": [2.0], "nu": 0.5}
+    draw, held = np.random.default_rng(5), []
+    for _ in range(100):
+        noise = {"uniaxial": 4e3, "planar": 15e3}
+        data = {kind: (s, P + draw.normal(0, noise[kind], len(s))) for kind, P in exact.items()}
+        found = fit(law, data, starts=1)
+        true = {"mu[0]": mu, "alpha[0]": alpha}
+        ends = [(*found[name].interval, x) for name, x in true.items()]
+        held.append([low <= x <= high for low, high, x in ends])
+    assert all(90 <= count <= 98 for count in np.sum(held, axis=0))
+
+
+def test_a_formula_of_ones_own():
+    """Yeoh's energy typed in, hardly compressible, has the constants of the law."""
+    s, P = treloar("uniaxial")
+    s, P = s[s < 5], P[s < 5]
+    yeoh = fit(Yeoh(c10=1e5, c20=-1e3, c30=10.0, nu=0.5), {"uniaxial": (s, P)})
+    law = {"energy": "c1*(I1bar - 3) + c2*(I1bar - 3)^2 + c3*(I1bar - 3)^3"}
+    law |= {"parameters": {"c1": "0.1 MPa", "c2": "-1 kPa", "c3": "10 Pa"}}
+    law |= {"volumetric": "quadratic", "K": "50 GPa"}
+    found = fit(law, {"uniaxial": (s, P)}, starts=1)
+    values = [found[f"parameters.c{i}"].value for i in (1, 2, 3)]
+    exact = [yeoh[name].value for name in ("c10", "c20", "c30")]
+    assert values == pytest.approx(exact, rel=1e-3)  # mu/K at the largest stretch
+    assert found["K"].held
+
+
+def test_a_weak_bulk_modulus_wants_a_volumetric_test():
+    s, P = treloar("uniaxial")
+    found = fit({"law": "neo-hookean", "mu": "fit", "K": "fit"}, {"uniaxial": (s[:8], P[:8])})
+    assert any("a volumetric test would tell" in line for line in found.unknown)
+
+
+def test_a_law_that_is_not_stable_over_the_data():
+    """A bar whose force falls: it would neck."""
+    s = np.linspace(1.1, 3.0, 20)
+    P = 1e6 * (s - s**-2) * np.exp(-0.4 * (s - 1) ** 2)
+    found = fit(Yeoh(c10=1e5, c20=-1e3, c30=1.0, nu=0.5), {"uniaxial": (s, P)})
+    assert "not stable over the whole uniaxial test" in found.stability[0]

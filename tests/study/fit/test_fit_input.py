@@ -1,0 +1,144 @@
+"""What is refused of curves, laws and options, with file, line and column; codes of the command."""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import ROOT
+from helpers.processes import cli
+from mpi4py import MPI
+
+from dolfin_elastic import MooneyRivlin, NeoHookean, fit
+from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.study.fit.curves import read_curve
+
+pytestmark = pytest.mark.skipif(
+    MPI.COMM_WORLD.size > 1, reason="starts mpirun itself, which cannot be nested"
+)
+TRELOAR = ROOT / "demos" / "treloar"
+GOOD = "stretch,stress\n1.1,0.1\n1.2,0.2\n1.3,0.3\n"
+LAW = '[materials.rubber]\nlaw = "neo-hookean"\nmu = "1 MPa"\nnu = 0.5\n'
+
+
+def read(tmp_path: Path, text: str, kind: str = "uniaxial", **keys: object):
+    """The curve of a file."""
+    (tmp_path / "a.csv").write_text(text)
+    return read_curve(kind, tmp_path / "a.csv", **keys)
+
+
+def test_headings_units_and_measures(tmp_path):
+    assert read(tmp_path, GOOD, unit="MPa").stress == pytest.approx([1e5, 2e5, 3e5])
+    # The unit of a heading wins, strains become stretches, columns may come in any order.
+    curve = read(tmp_path, "Stress [kPa];Strain [%]\n100;10\n200;20\n", unit="MPa")
+    assert curve.stress == pytest.approx([1e5, 2e5])
+    assert curve.x == pytest.approx([1.1, 1.2])
+    assert not curve.true
+    assert read(tmp_path, "true stress (MPa),true strain\n1,0.1\n").true
+    assert read(tmp_path, "1.1,0.1\n1.2,0.2\n").x == pytest.approx([1.1, 1.2])
+    squeezed = read(tmp_path, "J,pressure [MPa]\n0.99,2\n", "volumetric")
+    assert squeezed.stress == pytest.approx([-2e6])
+
+
+@pytest.mark.parametrize(
+    ("kind", "text", "words"),
+    [
+        ("uniaxial", GOOD.replace("stretch", "strech"), ("line 1", "stretch", "'stretch'?")),
+        ("uniaxial", GOOD.replace("stress", "force"), ("line 1", "no column has the stress")),
+        ("uniaxial", GOOD.replace("0.2", "abc"), ("line 3", "column 'stress'", "abc")),
+        ("uniaxial", GOOD.replace("0.2", "nan"), ("line 3", "column 'stress'", "finite")),
+        ("uniaxial", GOOD.replace("1.2", "-1.2"), ("line 3", "column 'stretch'", "-1.2")),
+        ("uniaxial", GOOD.replace("0.2", ""), ("line 3", "empty")),
+        ("uniaxial", GOOD.replace("stress", "stress [mm]"), ("column 'stress [mm]'", "mm")),
+        ("uniaxial", "stretch,stress\n", ("no numbers",)),
+        ("relaxation", "time,stress\n1,2\n2,1\n", ("constant stretch",)),
+        ("relaxation", "time,stress,stretch\n1,2,1.1\n0.5,1,1.1\n", ("line 3", "falls")),
+        ("relaxation", "time,stress,stretch\n1,2,1.1\n2,1,1.2\n", ("not constant",)),
+        ("volumetric", "J,pressure\n0,2\n", ("line 2", "column 'J'")),
+    ],
+)
+def test_files_that_cannot_be(kind, text, words, tmp_path):
+    with pytest.raises(InputError) as caught:
+        read(tmp_path, text, kind)
+    assert "a.csv" in str(caught.value)
+    for word in words:
+        assert word in str(caught.value)
+
+
+CURVE = (np.array([1.1, 1.3, 1.6]), np.array([1e5, 2e5, 3e5]))
+
+
+@pytest.mark.parametrize(
+    ("keys", "words"),
+    [
+        ({"fix": ["m"]}, ("--fix", "'m'", "did you mean 'mu'?")),
+        ({"fix": ["mu"]}, ("nothing is left to fit", "nu")),
+        ({"bounds": {"mo": "1:2"}}, ("--bounds", "known: mu, nu")),
+        ({"bounds": {"mu": "1"}}, ("--bounds", "mu")),
+        ({"bounds": {"mu": "2 MPa:1 MPa"}}, ("--bounds", "mu")),
+        ({"bounds": {"mu": "1 mm:2 mm"}}, ("--bounds", "mm")),
+        ({"weights": {"planar": 1.0}}, ("planar",)),
+        ({"weights": {"uniaxial": -1.0}}, ("--weight", "above 0")),
+    ],
+)
+def test_options_that_cannot_be(keys, words):
+    with pytest.raises(InputError) as caught:
+        fit(NeoHookean(mu=1e5, nu=0.49), {"uniaxial": CURVE}, **keys)
+    for word in words:
+        assert word in str(caught.value)
+
+
+def test_tests_that_a_law_has_no_answer_to():
+    solid = NeoHookean(mu=1e5, nu=0.5)
+    with pytest.raises(InputError, match="change of volume"):
+        fit(solid, {"uniaxial": CURVE, "volumetric": ([0.9, 0.8], [1e6, 2e6])})
+    with pytest.raises(InputError, match="does not relax"):
+        fit(solid, {"relaxation": ([1.0, 2.0], [2e5, 1e5], [1.1, 1.1])})
+    with pytest.raises(InputError, match="2 points cannot tell 2 constants"):
+        fit(MooneyRivlin(c10=1e5, c01=1e3, nu=0.5), {"uniaxial": ([1.1, 1.2], [1e5, 2e5])})
+    with pytest.raises(InputError, match="no kind of test; did you mean 'uniaxial'"):
+        fit(solid, {"uniaxal": CURVE})
+
+
+def test_the_command(tmp_path):
+    """Its table is a material of a case file, and the same on two ranks."""
+    (tmp_path / "law.toml").write_text(LAW)
+    (tmp_path / "a.csv").write_text(GOOD)
+    words = ("fit", "law.toml", "--uniaxial", "a.csv", "--unit", "MPa")
+    code, out, err = cli(*words, "--json", folder=tmp_path)
+    assert code == 0, err
+    mu = json.loads(out)["constants"]["mu"]
+    assert mu["interval"][0] < mu["value"] < mu["interval"][1]
+    written = tomllib.loads((tmp_path / "law_fitted/rubber.toml").read_text())
+    number, unit = written["materials"]["rubber"]["mu"].split()
+    assert float(number) == pytest.approx(mu["value"] / {"kPa": 1e3, "MPa": 1e6}[unit], rel=1e-6)
+    names = {path.name for path in (tmp_path / "law_fitted").iterdir()}
+    assert names == {"rubber.toml", "rubber.png", "rubber_constants.csv", "rubber_curves.csv"}
+    code, out, err = cli(*words, folder=tmp_path, ranks=2)
+    assert code == 0, err
+    assert out.count("[materials.rubber]") == 1
+
+
+def test_codes_of_the_command(tmp_path):
+    """2 for what is wrong, with one message; 3 and the best so far where the search has no end."""
+    (tmp_path / "law.toml").write_text(LAW)
+    (tmp_path / "a.csv").write_text(GOOD.replace("1.2", "0"))
+    code, _, err = cli("fit", "law.toml", "--uniaxial", "a.csv", folder=tmp_path, ranks=2)
+    assert code == 2
+    assert err.count("a.csv: column 'stretch': line 3") == 1
+    (tmp_path / "law.toml").write_text(LAW.replace("mu", "mo"))
+    (tmp_path / "a.csv").write_text(GOOD)
+    code, _, err = cli("fit", "law.toml", "--uniaxial", "a.csv", folder=tmp_path)
+    assert code == 2
+    assert "law.toml: materials.rubber: unknown key 'mo'" in err
+    law = '[materials.rubber]\nlaw = "ogden"\nmu = ["fit", "fit"]\nalpha = ["fit", "fit"]\nnu = 0.5'
+    (tmp_path / "law.toml").write_text(law)
+    file = str(TRELOAR / "uniaxial.csv")
+    words = ("fit", "law.toml", "--uniaxial", file, "--steps", "2", "--starts", "1")
+    code, out, err = cli(*words, folder=tmp_path)
+    assert code == 3
+    assert "[materials.rubber]" in out
+    assert "has not ended: 2 steps are done" in err
