@@ -10,8 +10,8 @@ Equations
     (du/u)^2 = (dF/F)^2 + (dE/E)^2 (JCGM 100, Guide to the Expression of Uncertainty (2008), 5.1.6).
 
 Result
-    Deflections E u/F are equal to 1e-9, stresses over F as well.  16 samples of 3 % in E and 5 % in F
-    have a deviation of 5.8 % in u, to a tenth of that, and 5 % in the largest stress.
+    Deflections E u/F are equal to 1e-9, stresses over F as well.  16 samples of 3 % in E and 5 %
+    in F have a deviation of 5.8 % in u, to a tenth of that, and 5 % in the largest stress.
 
         python3 demos/bracket_sweep/bracket_sweep.py
         mpirun -n 2 python3 demos/bracket_sweep/bracket_sweep.py
