@@ -33,7 +33,8 @@ class Blocks:
     Attributes:
         rows: Global number of each block's node of forces in the displacement's space, shape (n,).
         columns: That of its node of displacements, shape (n,).
-        values: Derivative of the out-of-balance forces, shape (n, dim, dim) [N/m].
+        values: Derivative of the out-of-balance forces, shape (n, dim, dim) [N/m]; shape (n,) where
+            it is the same in all directions, which it does not couple.
     """
 
     rows: IntArray

@@ -33,21 +33,23 @@ class NodeBlocks:
         self._constraints: PETSc.Mat | None = None
         self._free: tuple[PETSc.Mat, int] | None = None
 
-    def _assembled(self) -> PETSc.Mat:
+    def assembled(self) -> PETSc.Mat:
+        """The blocks at the present unknowns without the constraints; owned here. Collective."""
         blocks = self._of()
         pairs = (blocks.rows, blocks.columns)
         same = self._pairs is not None and all(map(np.array_equal, pairs, self._pairs))
         if self._matrix is None or total(self._dofs.comm, int(not same)):
             if self._matrix is not None:
                 self._matrix.destroy()
-            self._matrix = self._of_pattern(*pairs)
+            self._matrix = self._of_pattern(blocks)
             self._pairs, self.pattern = pairs, self.pattern + 1
-        sum_entries(self._matrix, blocks.values.reshape(-1))
+        values, dim = blocks.values, self._dofs.problem.body.dim
+        sum_entries(self._matrix, np.repeat(values, dim) if values.ndim == 1 else values)
         return self._matrix
 
-    def _of_pattern(self, rows: IntArray, columns: IntArray) -> PETSc.Mat:
+    def _of_pattern(self, blocks: Blocks) -> PETSc.Mat:
         """A matrix with room for blocks of pairs of nodes, from which PETSc makes their sum."""
-        dofs, problem = self._dofs, self._dofs.problem
+        dofs, problem, rows, columns = self._dofs, self._dofs.problem, blocks.rows, blocks.columns
         nodes, dim = problem.V.dofmap.index_map, problem.body.dim
         space, bs = problem.W.dofmap.index_map, problem.W.dofmap.index_map_bs
         first, last = nodes.local_range
@@ -62,11 +64,9 @@ class NodeBlocks:
         matrix.setSizes(((dofs.size, None),) * 2)
         matrix.setBlockSize(bs)
         matrix.setType(PETSc.Mat.Type.AIJ)
-        shape = (len(rows), dim, dim)
-        coordinates = (
-            np.broadcast_to(a, shape).reshape(-1) for a in (i[:, :, None], j[:, None, :])
-        )
-        room_for_entries(matrix, *coordinates)
+        if blocks.values.ndim > 1:
+            i, j = np.broadcast_arrays(i[:, :, None], j[:, None, :])
+        room_for_entries(matrix, i.reshape(-1), j.reshape(-1))
         return matrix
 
     def free(self) -> PETSc.Mat:
@@ -74,7 +74,7 @@ class NodeBlocks:
 
         T has no prescribed rows: nothing is in these rows and columns then.
         """
-        B = self._assembled()
+        B = self.assembled()
         if self._constraints is None:
             moves = self._dofs.displacement_dofs
             self._constraints = transformation(
@@ -99,7 +99,7 @@ class NodeBlocks:
         Args:
             direction: Owned entries of all unknowns [m].
         """
-        B = self._assembled()
+        B = self.assembled()
         x, y = B.createVecs()
         x.array_w[:] = direction
         B.mult(x, y)

@@ -131,7 +131,7 @@ class ScalarMass:
         pairs = np.append(row, self.columns[two]), np.append(self.columns, row[two])
         rows, columns = (self._map.local_to_global(one) for one in pairs)
         m = np.append(self.values, self.values[two])
-        return Blocks(rows, columns, m[:, None, None] * np.eye(self._dim))
+        return Blocks(rows, columns, m)
 
 
 class InertiaForces:

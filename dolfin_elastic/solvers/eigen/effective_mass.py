@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import ufl
 from petsc4py import PETSc
 
 from dolfin_elastic.core.errors import InputError
@@ -13,8 +12,10 @@ from dolfin_elastic.core.parallel import largest, total
 from dolfin_elastic.core.types import BoolArray, FloatArray
 from dolfin_elastic.problem.connectivity import ConnectedBodies
 from dolfin_elastic.problem.problem import Problem
-from dolfin_elastic.solvers.assembly.assembler import Assembler, compiled
-from dolfin_elastic.solvers.assembly.matrix import BilinearForm, ConstrainedMatrix, TangentMatrix
+from dolfin_elastic.solvers.assembly.assembler import Assembler
+from dolfin_elastic.solvers.assembly.matrix import ConstrainedMatrix
+from dolfin_elastic.solvers.assembly.node_blocks import NodeBlocks
+from dolfin_elastic.solvers.assembly.scalar_mass import ScalarMass
 from dolfin_elastic.solvers.diagnostics.rigid_body import rigid_motions
 from dolfin_elastic.solvers.diagnostics.rigid_body_names import motions_in_words
 from dolfin_elastic.solvers.linear.ksp import null_combinations, times
@@ -39,11 +40,8 @@ class Mass:
 
     def __init__(self, assembler: Assembler) -> None:
         self._assembler, problem = assembler, assembler.problem
-        trial = problem.unknowns.displacement(ufl.TrialFunction(problem.W))
-        self._form = compiled(problem, [problem.weak_form.inertia(trial, problem.v)])[0]
-        self._filled = TangentMatrix(BilinearForm(self._form))
-        self._filled.assemble([])
-        self.matrix: PETSc.Mat = self._filled.petsc
+        self._blocks = NodeBlocks(assembler, ScalarMass(problem).blocks)
+        self.matrix: PETSc.Mat = self._blocks.assembled()
         moves = assembler.displacement_dofs
         self._constrained = ConstrainedMatrix(problem, assembler, self.matrix, moves)
 
@@ -64,7 +62,7 @@ class Mass:
     def destroy(self) -> None:
         """Frees the matrix. Collective."""
         self._constrained.destroy()
-        self._filled.destroy()
+        self._blocks.destroy()
 
 
 class Frame:
