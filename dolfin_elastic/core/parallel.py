@@ -149,6 +149,17 @@ class LargestRow:
     place: tuple[float, ...]
 
 
+def first_row(comm: MPI.Comm, rows: int, rank: int | None = None) -> int:
+    """The first of the rows of a rank, by default this one, of rows in equal parts. Not collective.
+
+    Args:
+        comm: The ranks among which they are divided, as DOLFINx does.
+        rows: Of all ranks.
+    """
+    rank, (each, more) = comm.rank if rank is None else rank, divmod(rows, comm.size)
+    return rank * each + min(rank, more)
+
+
 def largest_row(
     comm: MPI.Comm,
     values: FloatArray,

@@ -17,7 +17,7 @@ from mpi4py import MPI
 from dolfin_elastic.core.compat import cell_partitioner
 from dolfin_elastic.core.errors import InputError, MeshError
 from dolfin_elastic.core.files.memory import check_memory
-from dolfin_elastic.core.parallel import agree, total
+from dolfin_elastic.core.parallel import agree, first_row, total
 from dolfin_elastic.core.types import AnyArray, FloatArray, IndexArray, IntArray
 from dolfin_elastic.core.units import LengthUnit
 from dolfin_elastic.mesh.body import Body
@@ -44,6 +44,7 @@ CAD = (".geo", ".geo_unrolled", ".step", ".stp", ".brep", ".iges", ".igs")
 """Suffixes of files that Gmsh meshes on the fly."""
 
 Permutation = Callable[[CellType, int], IndexArray]
+Numbers = TypeVar("Numbers", IntArray, FloatArray)
 
 
 def is_cad(path: str | os.PathLike[str]) -> bool:
@@ -171,13 +172,34 @@ def _distribute(
     comm: MPI.Comm, raw: RawMesh | None, scale: float, permutation: Permutation
 ) -> Mesh:
     dim, order, width = comm.bcast((raw.dim, raw.order, raw.cells.shape[1]) if raw else None)
-    kind = CellType.tetrahedron if dim == 3 else CellType.triangle
-    if raw is not None:
-        cells = np.ascontiguousarray(raw.cells[:, permutation(kind, width)])
-        x = np.ascontiguousarray(raw.points * scale, dtype=np.float64)
-    else:
-        cells, x = np.empty((0, width), dtype=np.int64), np.empty((0, dim))
+    nodes = permutation(CellType.tetrahedron if dim == 3 else CellType.triangle, width)
+
+    def cells_of(rows: slice) -> IntArray:
+        assert raw is not None
+        return np.ascontiguousarray(raw.cells[rows][:, nodes], dtype=np.int64)
+
+    def points_of(rows: slice) -> FloatArray:
+        assert raw is not None
+        return np.ascontiguousarray(raw.points[rows] * scale, dtype=np.float64)
+
+    cells = _spread(comm, len(raw.cells) if raw else None, cells_of)
+    x = _spread(comm, len(raw.points) if raw else None, points_of)
     return make_mesh(comm, cells, x, order)
+
+
+def _spread(comm: MPI.Comm, rows: int | None, part: Callable[[slice], Numbers]) -> Numbers:
+    """This rank's part of rows that rank 0 has, and sends to one rank after the other. Collective.
+
+    Args:
+        rows: Their number; None on other ranks than 0.
+        part: Gives some of them; called on rank 0 only.
+    """
+    if rows is None:
+        return comm.recv(source=0)
+    ends = [first_row(comm, rows, rank) for rank in range(comm.size + 1)]
+    for rank in range(1, comm.size):
+        comm.send(part(slice(ends[rank], ends[rank + 1])), dest=rank)
+    return part(slice(0, ends[1]))
 
 
 BYTES = {2: 300, 3: 460}

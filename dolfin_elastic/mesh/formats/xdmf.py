@@ -26,7 +26,7 @@ from mpi4py import MPI
 
 from dolfin_elastic.core.errors import MeshError
 from dolfin_elastic.core.files.xml import read_xml
-from dolfin_elastic.core.parallel import agree, on_root, total
+from dolfin_elastic.core.parallel import agree, first_row, on_root, total
 from dolfin_elastic.core.types import AnyArray, BoolArray, IndexArray, IntArray
 from dolfin_elastic.core.units import LengthUnit
 from dolfin_elastic.mesh.body import Body
@@ -232,7 +232,7 @@ def _mesh(comm: MPI.Comm, path: Path, contents: _Contents, scale: float) -> tupl
     order = 1 if width == contents.dim + 1 else 2
     check_distributed(comm, cells, len(x), contents.dim)
     unused = unused_points(comm, cells, len(x))
-    first = _first_row(comm, contents.points.rows)
+    first = first_row(comm, contents.points.rows)
     x = x[~np.isin(np.arange(first, first + len(x)), unused)]
     bad = int(np.count_nonzero(~np.isfinite(x).all(axis=1)))
     if count := int(total(comm, bad)):
@@ -249,15 +249,9 @@ def _cells(comm: MPI.Comm, path: Path, kind: str, cells: Array) -> IntArray:
     return np.ascontiguousarray(rows[:, order], dtype=np.int64)
 
 
-def _first_row(comm: MPI.Comm, rows: int, rank: int | None = None) -> int:
-    """The first row of the share of a rank, by default this one. Not collective."""
-    rank, (each, more) = comm.rank if rank is None else rank, divmod(rows, comm.size)
-    return rank * each + min(rank, more)
-
-
 def _share(comm: MPI.Comm, path: Path, array: Array) -> AnyArray:
     """This rank's share of the rows of an array, as DOLFINx divides them. Collective."""
-    start, stop = (_first_row(comm, array.rows, rank) for rank in (comm.rank, comm.rank + 1))
+    start, stop = (first_row(comm, array.rows, rank) for rank in (comm.rank, comm.rank + 1))
     rows: AnyArray = np.empty((0, array.columns))
     error = None
     try:
