@@ -308,8 +308,9 @@ def marked_constants(table: Mapping[str, object]) -> Iterator[str]:
                     yield from (f"{key}[{i}].{inner}" for inner in marked_constants(part))
 
 
-_GUESSES = {"nu": 0.45, "ratio": 0.3, "g": 0.3, "rate": 20.0, "lock": 3.0}
 _EXPONENTS = (2.0, -2.0, 5.0, -5.0, 9.0)
+_BEYOND = 1.3
+"""Of a limit of extension over the largest one that was measured."""
 
 
 def guessed(table: Mapping[str, object], curves: Sequence[TestCurve]) -> dict[str, object]:
@@ -321,46 +322,54 @@ def guessed(table: Mapping[str, object], curves: Sequence[TestCurve]) -> dict[st
     Raises:
         InputError: A parameter of a formula, of which nothing is known, has no value.
     """
-    names = [*marked_constants(table)]
-    result = _plain(table)
+    names, result = [*marked_constants(table)], _plain(table)
     assert isinstance(result, dict)
-    size = _stiffness(curves)
-    ends = [curve.time[[0, -1]] for curve in curves if curve.time is not None]
-    first, last = (ends[0][0], ends[0][1]) if ends else (0.0, 1.0)
+    sizes, times = _sizes(curves), [c.time for c in curves if c.time is not None]
+    last = float(times[0][-1]) if times else 1.0
+    first = max(float(times[0][0]), 1e-3 * last) if times else 1e-3
     terms = [name for name in names if name.endswith((".time", ".tau"))]
     for name in names:
         key = name.rpartition(".")[2].partition("[")[0]
         index = int(found[1]) if (found := re.search(r"\[(\d+)\]$", name)) else 0
-        value: float = size
         if name.startswith("parameters."):
             raise InputError(
                 "a parameter of a formula needs a value to start from",
                 where=name,
                 expected='for example "0.1 MPa", of the order that it may have',
             )
+        value = sizes.get(key, 1.0)
         if name in terms:
-            least = max(first, 1e-3 * last)
-            value = float(least * (last / least) ** ((terms.index(name) + 1) / (len(terms) + 1)))
+            value = first * (last / first) ** ((terms.index(name) + 1) / (len(terms) + 1))
         elif key == "alpha":
             value = _EXPONENTS[index % len(_EXPONENTS)]
-        elif key in _GUESSES:
-            value = _GUESSES[key]
-        elif key == "K":
-            value = 1e3 * size
-        elif key in ("mu", "c10"):
-            value = size / (1 + index) * (-1 if _EXPONENTS[index % 5] < 0 else 1)
-        elif key in ("c20", "c30"):
-            value = 1e-3 * size
-        elif key == "E":
-            value = 3 * size
-        elif key in ("hardening", "kinematic", "slope"):
-            value = 0.03 * size
-        elif key in ("yield", "yield_stress"):
-            value = 0.5 * max(float(np.abs(curve.stress).max()) for curve in curves)
-        elif key == "saturation":
-            value = max(float(np.abs(curve.stress).max()) for curve in curves)
-        _put(result, name, value)
+        elif name.startswith("mu["):  # with the sign of the exponent
+            value *= np.sign(_EXPONENTS[index % len(_EXPONENTS)]) / (1 + index)
+        elif key == "limit":
+            I1 = 3 + max(_excess(curve) for curve in curves)
+            value = _BEYOND * ((I1 - 3) if table.get("law") == "gent" else np.sqrt(I1 / 3))
+        _put(result, name, float(value))
     return result
+
+
+def _sizes(curves: Sequence[TestCurve]) -> dict[str, float]:
+    """Constants of the usual names in bodies as stiff as those that were measured [SI]."""
+    mu = _stiffness(curves)
+    most = max(float(np.abs(curve.stress).max()) for curve in curves)
+    stiff = {"E": 3 * mu, "K": 1e3 * mu, "lmbda": 1e3 * mu, "lambda": 1e3 * mu}
+    soft = dict.fromkeys(("mu", "c10", "c01", "k1", "C"), mu)
+    higher = dict.fromkeys(("c20", "c30"), 1e-3 * mu)
+    metal = dict.fromkeys(("hardening", "kinematic", "slope"), 0.03 * mu)
+    yields = {"yield": most / 2, "yield_stress": most / 2, "saturation": most, "rate": 20.0}
+    return {**stiff, **soft, **higher, **metal, **yields, "nu": 0.45, "ratio": 0.3, "g": 0.3}
+
+
+def _excess(curve: TestCurve) -> float:
+    """Largest I1 - 3 of an incompressible body in a test."""
+    if curve.kind == "shear":
+        return float((curve.x**2).max())
+    thin = {"equibiaxial": -2.0, "planar": -1.0}.get(curve.kind, -0.5)
+    s = curve.x if curve.kind != "volumetric" else np.ones(1)
+    return float((s**2 + s ** (2 * thin) + s ** (-2 - 2 * thin) - 3).max())
 
 
 def _stiffness(curves: Sequence[TestCurve]) -> float:

@@ -13,6 +13,7 @@ from dolfin_elastic.case.tables import Material
 from dolfin_elastic.core.errors import CaseError, InputError
 from dolfin_elastic.core.si_text import percent
 from dolfin_elastic.core.types import FloatArray
+from dolfin_elastic.model.materials.isochoric import Isochoric
 from dolfin_elastic.model.materials.law import Law
 from dolfin_elastic.study.fit.constants import (
     Constant,
@@ -26,8 +27,10 @@ from dolfin_elastic.study.fit.homogeneous import HomogeneousTests, mode_of
 from dolfin_elastic.study.fit.remarks import remarks, stability
 from dolfin_elastic.study.fit.search import Answer, Certainty, Model, certainty, search
 
-STARTS, STEPPED_STARTS, EVALUATIONS = 24, 4, 400
-"""Largest number of starts, the same of laws that remember by steps, and of steps from each."""
+STARTS, SLOW_STARTS, EVALUATIONS = 24, 4, 400
+"""Largest number of starts, that of compressible laws and metals, and of steps from each."""
+_NEARLY = 0.49
+"""Poisson's ratio from which on a law of rubber is close to an incompressible one."""
 _LINE = 120
 """Points of a curve of the law."""
 
@@ -161,7 +164,7 @@ def fit(
         weights: Name of a kind of test to the weight of its mean square error; 1 by default.
         unit: Of stresses whose column has none.
         true: Stresses whose column does not say what they are, are Cauchy's.
-        starts: Largest number of starts of the search; None: 24, of laws that remember by steps 4.
+        starts: Largest number of starts of the search; None: 24, of compressible laws and metals 4.
         evaluations: Largest number of steps from each.
 
     Raises:
@@ -174,9 +177,24 @@ def fit(
     constants = chosen(given, curves, fix, bounds or {}, marked)
     start = with_numbers(given, {row.name: row.start for row in constants if not row.held})
     model = Model(start, curves, constants)
-    many = STARTS if isinstance(model.tests, HomogeneousTests) else STEPPED_STARTS
-    answer = search(model, many if starts is None else starts, evaluations)
+    quick = isinstance(model.tests, HomogeneousTests) and model.tests.incompressible
+    usual = STARTS if quick or _incompressible(start, constants) else SLOW_STARTS
+    many = usual if starts is None else starts
+    if (twin := _incompressible(start, constants)) is None:
+        answer = search(model, many, evaluations)
+    else:  # whose states are known at once: its constants are near
+        first = search(Model(twin, curves, constants), many, evaluations)
+        model.start = np.clip(first.z, model.low, model.high)
+        answer = replace(search(model, 1, evaluations), starts=first.starts, same=first.same)
     return _result(start, model, constants, answer)
+
+
+def _incompressible(law: Law, constants: Sequence[Constant]) -> Law | None:
+    """A law that is hardly compressible with nu = 0.5 in place of it; None: it is another one."""
+    nu = next((row for row in constants if row.name == "nu" and row.held), None)
+    if nu is None or not _NEARLY <= nu.start < 0.5 or not isinstance(law, Isochoric):
+        return None
+    return with_numbers(law, {"nu": 0.5})
 
 
 def starting_law(law: Law | Mapping[str, object], curves: Sequence[TestCurve]) -> Law:

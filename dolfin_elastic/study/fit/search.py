@@ -18,7 +18,7 @@ SIAM J. Numer. Anal. 10 (1973) 413 (constants that follow from the others).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -210,6 +210,7 @@ def search(model: Model, starts: int, evaluations: int) -> Answer:
             advice="other starting values, --bounds, or fewer points",
         )
     answer = min(ends, key=lambda one: one.cost)
+    answer = replace(answer, z=np.where(_seen(model, answer.z), answer.z, model.start))
     same = sum(one.cost <= answer.cost * (1 + _SAME) + 1e-24 for one in ends)
     return Answer(answer.z, answer.cost, answer.ended, answer.why, len(ends), same, False)
 
@@ -323,14 +324,11 @@ def certainty(model: Model, z: FloatArray) -> Certainty:
     from scipy.stats import t
 
     A, residuals, k = model.sensitivities(z), model.residuals(z), len(z)
-    bound = model.at_bound(z)
-    inner = np.flatnonzero(~bound)
+    seen = _seen(model, z)
+    bound = model.at_bound(z) & seen
+    inner = np.flatnonzero(~bound & seen)
     size = np.linalg.norm(A[:, inner], axis=0)
-    seen = size * np.maximum(np.abs(z[inner]), 1e-3) > _NULL * np.linalg.norm(
-        model.weights * model.measured
-    )
-    unknown: list[tuple[int, ...]] = [(int(i),) for i in inner[~seen]]
-    inner, size = inner[seen], size[seen]
+    unknown: list[tuple[int, ...]] = [(int(i),) for i in np.flatnonzero(~seen)]
     half, correlation = np.full(k, np.nan), np.eye(k)
     half[[i for group in unknown for i in group]] = np.inf
     weak = np.zeros(k)
@@ -353,6 +351,12 @@ def certainty(model: Model, z: FloatArray) -> Certainty:
         correlation[np.ix_(inner, inner)] = covariance / np.outer(safe, safe)
         np.fill_diagonal(correlation, 1.0)
     return Certainty(half, correlation, bound, tuple(unknown), weak)
+
+
+def _seen(model: Model, z: FloatArray) -> BoolArray:
+    """Constants that some stress depends on, shape (k,)."""
+    size = np.linalg.norm(model.sensitivities(z), axis=0) * np.maximum(np.abs(z), 1e-3)
+    return np.asarray(size > _NULL * np.linalg.norm(model.weights * model.measured))
 
 
 def _variances(model: Model, residuals: FloatArray, k: int) -> FloatArray:
