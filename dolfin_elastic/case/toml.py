@@ -153,7 +153,7 @@ def _parts(key: str) -> list[str]:
 def _inside(tables: dict[str, object], path: list[str], key: str) -> _Inner:
     """The table or list in which the last part of a key stands."""
     inner: _Inner = tables
-    for part, after in zip(path, [*path[1:], ""], strict=True):
+    for part, after in zip(path, [*path[1:], ""], strict=False):
         value = _entry(inner, part, key)
         if not isinstance(value, MutableMapping | MutableSequence):
             what = f"'{part}' is no table, and has no '{after or _parts(key)[-1]}'"

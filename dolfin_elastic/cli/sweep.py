@@ -9,6 +9,7 @@ import subprocess
 import sys
 import time
 from contextlib import closing
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -92,6 +93,7 @@ def sweep(
     options, at_start = parse_arguments(petsc or [])
     start(at_start)
     from dolfin_elastic.case.check.rest import read_case
+    from dolfin_elastic.core.parallel import on_root
     from dolfin_elastic.study.sweep.settings import read_setting
     from dolfin_elastic.study.sweep.sweep import default_folder, planned
 
@@ -119,18 +121,17 @@ def sweep(
     )
     visible = comm.rank == 0 and not quiet
     if slurm is not None:
-        if comm.rank == 0:
-            _write_slurm(slurm, len(sweeping.rows))
+        on_root(comm, partial(_write_slurm, slurm, len(sweeping.rows)))
         return
     if visible and not worker:
         print(_headline(sweeping), flush=True)
     stop = Stop(folder)
-    stopped = False
+    stopped, lost = False, 0
     try:
         if jobs > 1 and not worker:
-            _in_processes(jobs, stop)
+            lost = _in_processes(jobs, stop)
         else:
-            _one_by_one(sweeping, row, visible=visible)
+            _one_by_one(sweeping, row, visible=visible, alone=worker or row is not None)
     except StoppedError:
         stop.acknowledge()
         stopped = True
@@ -138,6 +139,8 @@ def sweep(
         _end(sweeping, visible=visible, stopped=stopped)
     if stopped:
         raise Exit(INTERRUPTED)
+    if lost:
+        raise Exit(lost)
 
 
 def _split(text: str) -> tuple[str, str]:
@@ -168,8 +171,13 @@ def _headline(sweeping: Sweep) -> str:
     return f"{counted(len(sweeping.rows), 'run')}{known}: {', '.join(of)}"
 
 
-def _one_by_one(sweeping: Sweep, only: int | None, *, visible: bool) -> None:
-    """Computes and shows rows. Collective."""
+def _one_by_one(sweeping: Sweep, only: int | None, *, visible: bool, alone: bool) -> None:
+    """Computes and shows rows. Collective.
+
+    Args:
+        alone: Without the table, which another process writes.
+    """
+    from dolfin_elastic.core.parallel import on_root
     from dolfin_elastic.study.sweep.table import write_table
 
     comm = sweeping.comm
@@ -177,13 +185,14 @@ def _one_by_one(sweeping: Sweep, only: int | None, *, visible: bool) -> None:
         for row in rows:
             if visible:
                 print(_line(sweeping, row), flush=True)
-            results = sweeping.results()
-            if comm.rank == 0:
-                write_table(results, plot=False)
+            results = None if alone else sweeping.results()
+            if results is not None:
+                on_root(comm, partial(write_table, results, plot=False))
 
 
 def _line(sweeping: Sweep, row: Row) -> str:
     """One run, when it has ended."""
+    from dolfin_elastic.cli.console import TYPED
     from dolfin_elastic.core.si_text import percent, quantity
     from dolfin_elastic.study.sweep.numbers import unit_of
     from dolfin_elastic.study.sweep.settings import short_names, worded
@@ -192,22 +201,23 @@ def _line(sweeping: Sweep, row: Row) -> str:
     of = ", ".join(f"{short[key]} = {worded(value)}" for key, value in row.values.items())
     numbers = [
         f"{name} {quantity(value, unit_of(name))}"
-        + (f" +- {percent(row.errors[name])}" if row.errors.get(name, -1.0) >= 0.0 else "")
+        + (f" ± {percent(row.errors[name])}" if row.errors.get(name, -1.0) >= 0.0 else "")
         for name, value in list(row.numbers.items())[:_MOST_SHOWN]
     ]
     if row.cause:
         numbers.insert(0, f"{row.status}: {row.cause.partition(chr(10))[0]}")
-    return f"{row.number:>4} of {len(sweeping.rows)}  {of}: {', '.join(numbers)}"
+    return f"{row.number:>4} of {len(sweeping.rows)}  {of}: {', '.join(numbers)}".translate(TYPED)
 
 
 def _end(sweeping: Sweep, *, visible: bool, stopped: bool) -> None:
     """Writes and shows the table; leaves with an exit code if no row is to be relied on."""
+    from dolfin_elastic.core.parallel import on_root
     from dolfin_elastic.study.sweep.table import write_table
 
     results = sweeping.results()
-    if sweeping.comm.rank == 0:
-        write_table(results, plot=True)
-        _write_page(results, str(sweeping.case.title or sweeping.case.name))
+    title = str(sweeping.case.title or sweeping.case.name)
+    on_root(sweeping.comm, partial(write_table, results, plot=True))
+    on_root(sweeping.comm, partial(_write_page, results, title))
     if visible:
         _show(results)
     if stopped:
@@ -228,7 +238,7 @@ def _write_page(results: Results, title: str) -> None:
         title,
         list(texts),
         list(zip(*texts.values(), strict=True)),
-        lines=results.lines(),
+        lines=[*results.remarks(), *results.lines()],
         causes=[f"run {row.number}: {row.cause}" for row in results.failed],
         picture=plot if plot.is_file() else None,
     )
@@ -241,7 +251,7 @@ def _show(results: Results) -> None:
 
     from dolfin_elastic.cli.console import TYPED, console, show_files, show_table
     from dolfin_elastic.core.si_text import counted
-    from dolfin_elastic.study.sweep.table import FILES
+    from dolfin_elastic.study.sweep.table import FILES, TABLE
 
     texts, table = results.texts(_MOST_SHOWN, errors=False), Table(box=SIMPLE_HEAD, pad_edge=False)
     for head in texts:
@@ -252,10 +262,12 @@ def _show(results: Results) -> None:
     show_table(screen, table)
     if len(results.rows) > _MOST_ROWS:
         screen.tell(f"{len(results.rows) - _MOST_ROWS} further rows are in the file")
-    for line in results.lines():
+    for line in (*results.remarks(), *results.lines()):
         screen.tell(line.translate(TYPED))
     if results.failed:
-        screen.tell(f"{counted(len(results.failed), 'run')} without a solution, see `cause`")
+        screen.tell(f"{counted(len(results.failed), 'run')} without a solution: `cause` in {TABLE}")
+    if results.missing:
+        screen.tell(f"{counted(results.missing, 'run')} not computed: the same command goes on")
     present = [name for name in (*FILES, _PAGE) if (results.folder / name).is_file()]
     show_files(results.folder, [*present, f"{results.rows[0].folder} ..."])
 
@@ -263,8 +275,11 @@ def _show(results: Results) -> None:
 # --- several processes ---
 
 
-def _in_processes(jobs: int, stop: Stop) -> None:
+def _in_processes(jobs: int, stop: Stop) -> int:
     """Computes rows in processes of their own, each of one rank, until all have ended.
+
+    Returns:
+        The first exit code that is not 0.
 
     Raises:
         StoppedError: A signal has asked for the end; the processes have ended, too.
@@ -282,12 +297,14 @@ def _in_processes(jobs: int, stop: Stop) -> None:
         for process in running:
             if process.poll() is None:
                 process.terminate()
-        codes = [process.wait() for process in running]
+        codes = [abs(process.wait()) for process in running]  # a signal is negative
     if INTERRUPTED in codes:
         raise StoppedError("a signal has asked for the end")
-    if worst := next((code for code in codes if code), 0):
+    worst = next((code for code in codes if code), 0)
+    if worst:
         log = logging.getLogger("dolfin_elastic")
         log.warning("a process of the sweep has ended with exit code %d", worst)
+    return worst
 
 
 # --- on a cluster ---
@@ -303,15 +320,14 @@ def _write_slurm(path: Path, count: int) -> None:
 
     from dolfin_elastic.results.files import replace_text
 
-    words = sys.argv[1:]
+    words, left = sys.argv[1:], ("--slurm", "--jobs", "-j")
     kept = [
         word
         for before, word in zip(["", *words], words, strict=False)
-        if word != "--slurm" and before != "--slurm" and not word.startswith("--slurm=")
+        if not (before in left or word in left or word.startswith(("--slurm=", "--jobs=")))
     ]
     again = shlex.join(["dolfin-elastic", *kept])
-    one = shlex.join(["dolfin-elastic", kept[0], *kept[1:2]])
-    rest = shlex.join(kept[2:])
+    one, rest = shlex.join(["dolfin-elastic", kept[0]]), shlex.join(kept[1:])
     text = f"""\
 #!/bin/bash
 #SBATCH --job-name=sweep

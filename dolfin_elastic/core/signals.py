@@ -148,16 +148,19 @@ class Stop:
         if self._agreed:
             yield
             return
-        self._last, self._interruptible = last, True
         end = threading.Event()
         watch = threading.Thread(target=self._watch, args=(end,), daemon=True)
-        watch.start()
+        watch.start()  # a handler that raised in here would leave half a thread
         try:
+            self._last, self._interruptible = last, True
+            if self.asked:
+                self._interrupt()
             yield
         finally:
+            self._interruptible = False
             end.set()
             watch.join()
-            self._interruptible = self._noticed = False
+            self._interruptible = self._noticed = False  # it may have raised them meanwhile
 
     def _watch(self, end: threading.Event) -> None:
         """Interrupts the main thread, by a signal, where there is a file "stop".

@@ -27,12 +27,14 @@ class Known:
         errors: Name to estimated relative error of the mesh, nan where it is not known.
         usual: Names that are told where none is asked for: the values by which a part is judged,
             the first modes, and the probes and other results that the case asks for.
+        remarks: Name to what a peak leaves out, or why its error is not known.
         failure: Why the audit of one fails; empty where none does.
     """
 
     numbers: dict[str, float] = field(default_factory=dict)
     errors: dict[str, float] = field(default_factory=dict)
     usual: list[str] = field(default_factory=list)
+    remarks: dict[str, str] = field(default_factory=dict)
     failure: str = ""
 
 
@@ -43,13 +45,14 @@ def known_of(folders: Sequence[Path]) -> Known:
         InputError: One is no folder of results.
     """
     numbers, errors, usual, failure = dict[str, float](), dict[str, float](), list[str](), ""
+    remarks = dict[str, str]()
     for folder in folders:
         run = FinishedRun(folder)
         summary = run.summary
         audit = summary.get("audit") or {}
         failure = failure or ("; ".join(audit["reasons"]) if audit.get("verdict") == "fail" else "")
         own = {name: _number(value) for name, value in (summary.get("numbers") or {}).items()}
-        extremes, trust = _extremes(run)
+        extremes, trust, doubts = _extremes(run)
         modes = {
             f"{'load_factor' if mode.kind == 'buckling' else 'frequency'}_{mode.number}": value
             for mode in modes_of(run)
@@ -58,14 +61,18 @@ def known_of(folders: Sequence[Path]) -> Known:
         last = {name: float(column[-1]) for name, column in run.history.items() if len(column)}
         told = [*(name for name in _FIRST if name in extremes), *list(modes)[:_MODES], *own]
         usual += [name for name in told if name not in numbers]
+        known = set(numbers)
         numbers = {**last, **own, **extremes, **modes, **numbers}
-        errors = {**trust, **errors}
-    return Known(numbers, errors, usual, failure)
+        errors |= {name: value for name, value in trust.items() if name not in known}
+        remarks |= {name: text for name, text in doubts.items() if name not in known}
+        if modes:
+            remarks[next(iter(modes))] = "the error of the mesh is not estimated for modes"
+    return Known(numbers, errors, usual, remarks, failure)
 
 
-def _extremes(run: FinishedRun) -> tuple[dict[str, float], dict[str, float]]:
-    """Extremes by which a part is judged, and their errors; nan where the error is not known."""
-    summary, errors = run.summary, dict[str, float]()
+def _extremes(run: FinishedRun) -> tuple[dict[str, float], dict[str, float], dict[str, str]]:
+    """Extremes by which a part is judged, their errors (nan: not known), and remarks on them."""
+    summary, errors, remarks = run.summary, dict[str, float](), dict[str, str]()
     peaks = summary.get("motion") or summary.get("error") or {}
     numbers = {row.key: row.value.value for row in reversed(extremes_of(summary))}
     for name in ELSEWHERE:
@@ -74,7 +81,13 @@ def _extremes(run: FinishedRun) -> tuple[dict[str, float], dict[str, float]]:
             continue
         numbers[name] = float(peak["value"])
         errors[name] = math.nan if doubt(peak) else _number(peak.get("error"))
-    return numbers, errors
+        if why := doubt(peak):
+            remarks[name] = f"its error is not known: {why}"
+        elif apart := peak.get("apart"):
+            remarks[name] = f"not at {apart}, where it is singular: the largest elsewhere"
+            if name == "safety_factor":
+                remarks[name] = f"not at {apart}, where it is singular: the smallest elsewhere"
+    return numbers, errors, remarks
 
 
 def _number(value: object) -> float:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
@@ -26,7 +27,11 @@ from dolfin_elastic.study.sweep.settings import Values
 Status = Literal["planned", "solved", "audit", "failed"]
 RECORD = "row.json"
 _MOST = 1 << 20
-_CHUNK = 1 << 20
+_HEAD = 1 << 22
+"""Bytes of a file in which names of others are looked for."""
+_NAMING = (".xdmf", ".geo", ".inp", ".bdf", ".dat", ".nas", ".toml")
+"""Endings of files that may name others."""
+_WORD = re.compile(rb"[\w.\-/]+\.[A-Za-z]\w*")
 
 
 @dataclass(frozen=True)
@@ -42,6 +47,7 @@ class Row:
         cause: Why it failed; empty otherwise.
         numbers: Name of a result to its value, SI units; nan where it is not known.
         errors: Name to the estimated relative error of the mesh, where that is known.
+        remarks: Name to what is to be known of a result, such as where it was looked for.
         seconds: That it took.
     """
 
@@ -53,6 +59,7 @@ class Row:
     cause: str = ""
     numbers: Mapping[str, float] = field(default_factory=dict)
     errors: Mapping[str, float] = field(default_factory=dict)
+    remarks: Mapping[str, str] = field(default_factory=dict)
     seconds: float = 0.0
 
     @property
@@ -61,15 +68,18 @@ class Row:
         return self.status != "planned"
 
 
-def digest_of(case: Case, told: Sequence[str], petsc: Mapping[str, PetscValue]) -> str:
+def digest_of(
+    case: Case, told: Sequence[str], petsc: Mapping[str, PetscValue], contents: Contents
+) -> str:
     """What a run computes, as 32 hexadecimal digits. Not collective.
 
     Args:
         told: Results that are asked for; none: the usual ones.
         petsc: PETSc options that are not the case's own.
+        contents: Of files, which cases of one sweep share.
     """
     tables = case.to_dict()
-    files = {name: _content(case.folder / name) for name in sorted(set(_texts(case.written)))}
+    files = {name: contents.of(case.folder / name) for name in sorted(set(_texts(case.written)))}
     known = {name: content for name, content in files.items() if content}
     whole = [__version__, tables, known, list(told), dict(petsc)]
     return hashlib.sha256(json.dumps(whole, sort_keys=True).encode()).hexdigest()[:32]
@@ -87,15 +97,49 @@ def _texts(value: object) -> Iterator[str]:
         yield value
 
 
-def _content(path: Path) -> str:
-    """Digest of a regular file's content; empty of anything else."""
-    try:
+class Contents:
+    """Digests of files with those that they name, each read once.
+
+    A mesh in XDMF has its arrays in HDF5, a script of Gmsh merges CAD files, and a motion begins at
+    the results in a folder.
+    """
+
+    def __init__(self) -> None:
+        self._known = dict[Path, str]()
+
+    def of(self, path: Path) -> str:
+        """Of a file or folder; empty of anything else. Not collective."""
+        try:
+            path = path.resolve()
+            if path not in self._known:
+                self._known[path] = ""  # of files that name each other
+                self._known[path] = self._folder(path) if path.is_dir() else self._file(path)
+        except (OSError, ValueError, RuntimeError):
+            return ""
+        return self._known[path]
+
+    def _file(self, path: Path) -> str:
         if not path.is_file():
             return ""
         with path.open("rb") as file:
-            return hashlib.file_digest(file, "sha256").hexdigest()
-    except OSError:
-        return ""
+            own = hashlib.file_digest(file, "sha256").hexdigest()
+            file.seek(0)
+            head = file.read(_HEAD) if path.suffix.lower() in _NAMING else b""
+        words = {word.decode() for word in _WORD.findall(head)}
+        inner = [self.of(path.parent / word) for word in sorted(words) if word != path.name]
+        return " ".join([own, *filter(None, inner)])
+
+    def _folder(self, path: Path) -> str:
+        """Of results: a folder that a text names by chance, such as "left", has none."""
+        if not (path / "summary.json").is_file():
+            return ""
+        return " ".join(self.of(file) for file in sorted(path.rglob("*.*")) if file.is_file())
+
+
+def first_unknown(folder: Path, digests: Sequence[str]) -> int:
+    """Number, from 0, of the first run that has not ended; that of all where there is none."""
+    ended = {row.digest for row in _records(folder) if row.ended}
+    return next((i for i, digest in enumerate(digests) if digest not in ended), len(digests))
 
 
 def plan(folder: Path, rows: Sequence[tuple[Values, str]]) -> list[Row]:
@@ -174,6 +218,7 @@ def _record(path: Path) -> Row | None:
             cause=str(table["cause"]),
             numbers=numbers,
             errors=errors,
+            remarks={str(k): str(v) for k, v in table["remarks"].items()},
             seconds=float(table["seconds"]),
         )
     except (OSError, ValueError, KeyError, TypeError, AttributeError):

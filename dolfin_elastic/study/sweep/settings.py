@@ -76,12 +76,15 @@ class Spread:
         spread = Spread(self.kind, read[0], self.second, self.relative, read[1])
         if self.kind == "uniform":
             half = abs(self.second * read[0])
-            spread = Spread(self.kind, read[0] - half, read[0] + half, False, read[1])
+            if half:
+                spread = Spread(self.kind, read[0] - half, read[0] + half, False, read[1])
         return spread._checked(key)
 
     def _checked(self, key: str) -> Spread:
         wrong = ""
-        if self.kind == "uniform" and not self.relative and not self.first < self.second:
+        if self.relative and self.first == 0.0:
+            wrong = "a percentage of 0 is no deviation"
+        elif self.kind == "uniform" and not self.relative and not self.first < self.second:
             wrong = f"the range from {self.first:g} to {self.second:g} is empty"
         elif self.second <= 0.0 and (self.kind != "uniform" or self.relative):
             wrong = "the standard deviation is not positive"
@@ -138,13 +141,17 @@ def read_setting(key: str, value: object) -> Setting:
         match = _SPREAD.fullmatch(value)
         if match is not None and match[1] in KINDS:
             return Setting(key, spread=_spread(key, match[1], match[2]))
-        if match is not None and (known := nearest(match[1], KINDS)).startswith("did you"):
+        known = "" if match is None else nearest(match[1], KINDS)
+        if match is not None and ("%" in match[2] or known.startswith("did you")):
             raise InputError(f"there is no distribution '{match[1]}'", where=key, expected=known)
+        if value.count("(") != value.count(")") or value.count("[") != value.count("]"):
+            what = f"a bracket is not closed in '{value}'"
+            raise InputError(what, where=key, expected=_EXAMPLE)
         values = tuple(map(_value, _pieces(value)))
     elif isinstance(value, Sequence | np.ndarray):
         values = tuple(v.item() if isinstance(v, np.generic) else v for v in value)
     else:
-        values = (value,)
+        values = (value.item() if isinstance(value, np.generic) else value,)
     if not values or "" in values:
         raise InputError("a value is missing", where=key, expected='for example "1 MPa,2 MPa"')
     return Setting(key, values)
@@ -214,11 +221,13 @@ class Design:
         rows: Of each run its values.
         base: Of Sobol's indices N, whose runs stand in the order A, B, A with column i of B for
             each i; 0 of other sweeps.
+        together: First values stand with first ones, so one setting tells the others.
     """
 
     settings: tuple[Setting, ...]
     rows: tuple[Values, ...]
     base: int = 0
+    together: bool = False
 
     @property
     def scatter(self) -> tuple[Setting, ...]:
@@ -270,7 +279,7 @@ def design(
         what = f"{len(lists) * len(drawn)} runs are too many"
         raise InputError(what, expected=f"at most {MOST}: fewer values or samples")
     rows = tuple({**row, **sample} for row in lists for sample in drawn)
-    return Design(tuple(settings), rows, sobol or 0)
+    return Design(tuple(settings), rows, sobol or 0, together)
 
 
 def _check(
@@ -294,6 +303,9 @@ def _check(
         raise InputError(
             "the lists have different lengths", where="--zip", expected=f"the same of all: {each}"
         )
+    if together and len(listed) < 2:
+        what = "one list of values has nothing to go together with"
+        raise InputError(what, where="--zip", expected="two lists at least, or no --zip")
     asked = "--samples" if samples is not None else "--sobol" if sobol is not None else ""
     if asked and not scatter:
         raise InputError("nothing scatters", where=asked, expected=_EXAMPLE)

@@ -47,6 +47,7 @@ class Statistics:
         percentiles: Percent to the value below which so many lie.
         mesh: Estimated error of the mesh, the mean of the samples'; nan where it is not known.
         sobol: Key of a setting to its indices; none of other samples.
+        samples: Of which all that is.
     """
 
     mean: float
@@ -54,6 +55,7 @@ class Statistics:
     percentiles: Mapping[int, float]
     mesh: float
     sobol: Mapping[str, Sobol]
+    samples: int
 
 
 def statistics(design: Design, rows: Sequence[Row]) -> dict[str, Statistics]:
@@ -85,6 +87,7 @@ def statistics(design: Design, rows: Sequence[Row]) -> dict[str, Statistics]:
             {p: float(np.percentile(values, p)) for p in PERCENTILES},
             float(np.mean(errors)),
             _sobol(design, rows, name),
+            len(values),
         )
     return result
 
@@ -94,7 +97,8 @@ def _sobol(design: Design, rows: Sequence[Row], name: str) -> dict[str, Sobol]:
     from scipy.stats import sobol_indices
 
     n, d = design.base, len(design.scatter)
-    f: FloatArray = np.array([row.numbers.get(name, math.nan) for row in rows])
+    good = [row.numbers if row.status == "solved" else {} for row in rows]
+    f: FloatArray = np.array([numbers.get(name, math.nan) for numbers in good])
     if not n or not np.all(np.isfinite(f)) or len(f) != n * (d + 2):
         return {}
     if np.ptp(f) <= _ROUND_OFF * np.max(np.abs(f)):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 import time
 from collections.abc import Generator, Iterator, Mapping, Sequence
 from contextlib import closing
@@ -24,6 +25,9 @@ from dolfin_elastic.core.together import loop_together
 from dolfin_elastic.mesh.body import Body
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.problem.state import State
+from dolfin_elastic.results.recovery.error import ErrorEstimator
+from dolfin_elastic.results.recovery.peaks import largest
+from dolfin_elastic.results.recovery.singular import singular_places
 from dolfin_elastic.study.sweep import rows as files
 from dolfin_elastic.study.sweep.numbers import Known, known_of
 from dolfin_elastic.study.sweep.rows import Row, Status
@@ -80,7 +84,7 @@ class Sweep:
             Each row that has ended here; those that had ended before are in `results`.
 
         Raises:
-            InputError: No run has a result that is asked for.
+            InputError: The first run has no result of a name that is asked for.
             OutputError: Results cannot be written.
             StoppedError: A signal has asked for the end; the rows before it are complete.
         """
@@ -128,19 +132,18 @@ class Sweep:
                 raise next(iter(runs.errors.values()))
             known = on_root(self.comm, lambda: known_of([one.folder for one in runs.runs]))
         except (InputError, SolveError) as error:
-            if isinstance(error, InputError) and error.where in ("--tell", "tell"):
-                raise
             status, cause = "failed", str(error)
         else:
-            numbers = told.numbers(known)
+            known, numbers = told.judged(known), told.numbers(known)
         if known.failure:
-            status, cause = "audit", f"audit FAIL: {known.failure}"
+            status, cause = "audit", f"audit: {known.failure}"
         return replace(
             row,
             status=status,
             cause=cause,
             numbers=numbers,
             errors={name: known.errors[name] for name in numbers if name in known.errors},
+            remarks={name: known.remarks[name] for name in numbers if name in known.remarks},
             seconds=round(time.monotonic() - begin, 3),
         )
 
@@ -155,6 +158,7 @@ class _Told:
     def __init__(self, names: Sequence[str], case: Case) -> None:
         self._names, self._case = names, case
         self._measured = dict[str, float]()
+        self._errors, self._remarks = dict[str, float](), dict[str, str]()
 
     def check(self, body: Body) -> None:
         """Checks names of parts before anything is computed. Not collective."""
@@ -175,14 +179,28 @@ class _Told:
         for name in self._names:
             wanted = Wanted.read(name, "--tell")
             if wanted.part or wanted.reduction:
-                number = WantedNumber(wanted, problem)(state)[0].value
-                self._measured.setdefault(name, number)
+                number = WantedNumber(wanted, problem)
+                measured, _ = number(state)
+                self._measured.setdefault(name, measured.value)
+                if wanted.is_stress and measured.place and state.v is None:
+                    self._judge(name, problem, state, number)
+
+    def _judge(self, name: str, problem: Problem, state: State, number: WantedNumber) -> None:
+        """The error of a largest stress, or why it is not known. Collective."""
+        estimate = ErrorEstimator(problem)(state)
+        peak = largest(problem, estimate, number.chosen(), singular_places(problem))
+        self._errors[name] = peak.error
+        if peak.singular:
+            self._remarks[name] = f"singular at {peak.singular}: it grows with every refinement"
+            self._errors[name] = math.nan
+        elif peak.unresolved:
+            self._remarks[name] = f"its error is not known: {peak.unresolved}"
 
     def numbers(self, known: Known) -> dict[str, float]:
         """What is told, of all that is known.
 
         Raises:
-            InputError: There is no such result.
+            InputError: The run has no such result, so none of the sweep will have it.
         """
         every = {**known.numbers, **self._measured}
         if not self._names:
@@ -196,6 +214,11 @@ class _Told:
                 )
             result[text if text in self._measured else name] = every[name]
         return result
+
+    def judged(self, known: Known) -> Known:
+        """What is known, with errors of and remarks on what was measured."""
+        errors, remarks = {**known.errors, **self._errors}, {**known.remarks, **self._remarks}
+        return replace(known, errors=errors, remarks=remarks)
 
 
 _EQUAL = {"energy": "strain_energy"}
@@ -259,12 +282,17 @@ def planned(
     plan = design(means, together=together, samples=samples, sobol=sobol, seed=seed)
     cases = tuple(case.changed(values) for values in plan.rows)
     folder = Path(output) if output is not None else default_folder(case)
-    options, bodies = dict(petsc or {}), _Bodies(comm)
-    if not on_root(comm, folder.exists):  # what is wrong with all of them is said of the first
-        cases[0].make_problem(bodies.body_of(cases[0], _Told(names, cases[0])))
+    options, bodies, contents = dict(petsc or {}), _Bodies(comm), files.Contents()
+
+    def known() -> tuple[list[str], int]:
+        digests = [files.digest_of(one, names, options, contents) for one in cases]
+        return digests, files.first_unknown(folder, digests)
+
+    digests, new = on_root(comm, known)
+    if new < len(cases):  # what is wrong with all of them is said of the first
+        cases[new].make_problem(bodies.body_of(cases[new], _Told(names, cases[new])))
 
     def rows() -> list[Row]:
-        digests = [files.digest_of(one, names, options) for one in cases]
         return files.plan(folder, list(zip(plan.rows, digests, strict=True)))
 
     return Sweep(

@@ -34,6 +34,10 @@ if TYPE_CHECKING:
 TABLE, SUMMARY, PLOT = FILES = ("sweep.csv", "sweep.json", "sweep.png")
 _SOURCES = {"materials": "the material", "load": "the loads", "support": "the supports"}
 _ANY = "what scatters"
+_NOTHING = 1e-6
+"""Of the largest: what is below is round-off, and not shown first."""
+_USEFUL = 64
+"""Samples from which on Sobol's indices are worth something."""
 _MOST_PANELS, _MOST_LINES = 6, 8
 _INK = ("#1f5f8b", "#b0562f", "#228833", "#7a3e9d", "#c79a00", "#444444", "#0f9d9d", "#d0527a")
 
@@ -69,6 +73,11 @@ class Results:
         """Rows without a solution."""
         return [row for row in self.rows if row.status == "failed"]
 
+    @property
+    def missing(self) -> int:
+        """Runs that were not computed."""
+        return sum(not row.ended for row in self.rows)
+
     def check(self) -> None:
         """At least one run has a solution.
 
@@ -94,6 +103,7 @@ class Results:
             "seconds": [row.seconds for row in self.rows],
             "folder": [row.folder for row in self.rows],
             "cause": [row.cause for row in self.rows],
+            "remark": ["; ".join(f"{n}: {t}" for n, t in row.remarks.items()) for row in self.rows],
         }
 
     def texts(self, most: int | None = None, *, errors: bool = True) -> dict[str, list[str]]:
@@ -103,10 +113,16 @@ class Results:
             most: Results at most.
             errors: Beside a number the estimated error of the mesh.
         """
-        keys, names = [one.key for one in self.design.settings], self.names[:most]
+        keys, names = [one.key for one in self.design.settings], self.names
+        if most is not None:
+            names = self.large[:most]
         result = {"run": [str(row.number) for row in self.rows]}
         for key, name in short_names(keys).items():
-            result[name] = [worded(row.values.get(key)) for row in self.rows]
+            x, unit, words = _abscissae([row.values.get(key) for row in self.rows])
+            if words:
+                result[name] = [worded(row.values.get(key)) for row in self.rows]
+            else:
+                result[f"{name} [{unit}]" if unit else name] = [f"{value:.6g}" for value in x]
         for name in names:
             values = [row.numbers.get(name, math.nan) for row in self.rows]
             largest = max((abs(v) for v in values if math.isfinite(v)), default=0.0)
@@ -117,7 +133,30 @@ class Results:
                 pairs = zip(cells, known, strict=True)
                 cells = [f"{c} ± {percent(e)}" if math.isfinite(e) else c for c, e in pairs]
             result[f"{name} [{unit}]" if unit else name] = cells
-        return {**result, "status": [row.status for row in self.rows]}
+        result["status"] = [row.status for row in self.rows]
+        return {**result, "folder": [row.folder for row in self.rows]}
+
+    @property
+    def large(self) -> list[str]:
+        """Results that are not round-off beside others of their unit, or zero."""
+        names = self.names
+        size = {name: max(abs(row.numbers.get(name, 0.0)) for row in self.rows) for name in names}
+        most = dict[str, float]()
+        for name in names:
+            most[unit_of(name)] = max(most.get(unit_of(name), 0.0), size[name])
+        return [name for name in names if size[name] > _NOTHING * most[unit_of(name)]]
+
+    def remarks(self) -> list[str]:
+        """What is to be known of results, each once, with the runs that it is of."""
+        runs = dict[tuple[str, str], list[int]]()
+        for row in self.rows:
+            for name, text in row.remarks.items():
+                runs.setdefault((name, text), []).append(row.number)
+        every = len([row for row in self.rows if row.numbers])
+        return [
+            f"{name}: {text}" + ("" if len(of) == every else f" (run {', '.join(map(str, of))})")
+            for (name, text), of in runs.items()
+        ]
 
     def frame(self) -> object:
         """The table as a pandas DataFrame, where pandas is there; else `columns`."""
@@ -150,20 +189,28 @@ class Results:
         short = short_names([one.key for one in self.design.settings])
         kinds, result = {key_parts(key)[0] for key in short}, list[str]()
         source = _SOURCES.get(kinds.pop(), _ANY) if len(kinds) == 1 else _ANY
+        drawn = 2 * self.design.base or len(self.rows)
         for name, of in self.statistics.items():
             unit = unit_of(name)
             mesh = f"± {quantity(of.mesh, unit)}" if math.isfinite(of.mesh) else "not known"
             low, high = (quantity(of.percentiles[p], unit) for p in (5, 95))
-            result.append(
-                f"{name}: {quantity(of.mean, unit)}, ± {quantity(2 * of.deviation, unit)} from "
-                f"{source} (2 standard deviations; 90 % from {low} to {high}), "
-                f"from the mesh {mesh}"
+            spread = (
+                f"± {quantity(2 * of.deviation, unit)} from {source} "
+                f"(2 standard deviations; 90 % from {low} to {high})"
             )
+            if of.deviation <= _NOTHING * abs(of.mean):
+                spread = f"{source} does not change it"
+            so_far = "" if of.samples == drawn else f", {of.samples} of {drawn} samples so far"
+            mean = quantity(of.mean, unit)
+            result.append(f"{name}: {mean}, {spread}, from the mesh {mesh}{so_far}")
             for key, index in of.sobol.items():
                 result.append(
                     f"  {short[key]}: {percent(index.first)} of the variance alone, "
                     f"{percent(index.total)} ± {percent(index.error)} with the others (Sobol)"
                 )
+        if 0 < self.design.base < _USEFUL:
+            base = self.design.base
+            result.append(f"Sobol's indices of {base} samples are coarse: --sobol {_USEFUL}")
         return result
 
 
@@ -196,7 +243,8 @@ def _csv(results: Results) -> str:
 
 def _cell(value: object) -> object:
     if isinstance(value, bool) or not isinstance(value, float):
-        return " ".join(value.split()) if isinstance(value, str) else value
+        lines = value.splitlines() if isinstance(value, str) else []
+        return "; ".join(line.strip() for line in lines) if isinstance(value, str) else value
     return f"{value:.12g}" if math.isfinite(value) else ""
 
 
@@ -213,11 +261,11 @@ def _summary(results: Results) -> dict[str, object]:
     }
 
 
-def _finite(table: Mapping[str, object]) -> dict[str, object]:
-    """A table with None for what is no finite number."""
-    return {
-        k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in table.items()
-    }
+def _finite(value: object) -> object:
+    """A value in which None stands for what is no finite number, in tables as well."""
+    if isinstance(value, Mapping):
+        return {key: _finite(inner) for key, inner in value.items()}
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 # --- the plot ---
@@ -233,7 +281,8 @@ def draw(results: Results, path: Path) -> None:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    pairs = [(name, key) for name in results.names[:_MOST_PANELS] for key in _over(results)]
+    names = results.large[:_MOST_PANELS]
+    pairs = [(name, key) for name in names for key in _over(results)]
     across = max(len(_over(results)), min(3, len(pairs)))
     down = -(-len(pairs) // across)
     figure = Figure(figsize=(4.4 * across + 0.6, 2.9 * down + 0.3), layout="constrained")
@@ -264,21 +313,27 @@ def _panel(panel: Axes, results: Results, name: str, key: str) -> None:
     largest = max((abs(row.numbers[name]) for row in rows), default=0.0)
     factor, own = scaled_unit(largest, unit_of(name))
     scattered = bool(results.design.scatter)
+    alone = scattered or results.design.together
     groups: dict[str, list[int]] = {}
     for k, row in enumerate(rows):
         others = [f"{short[k]} = {worded(v)}" for k, v in row.values.items() if k != key]
-        groups.setdefault("" if scattered else ", ".join(others), []).append(k)
+        groups.setdefault("" if alone else ", ".join(others), []).append(k)
     for n, (label, members) in enumerate(groups.items()):
         order = sorted(members, key=lambda k: float(x[k]))
         y = np.array([rows[k].numbers[name] for k in order]) / factor
-        line, ink = "none" if scattered else "-", _INK[n % len(_INK)]
+        line, ink = "none" if scattered or words else "-", _INK[n % len(_INK)]
         bars = np.array([rows[k].errors.get(name, math.nan) for k in order]) * np.abs(y)
         bars = np.nan_to_num(bars)
         shown = label if label and len(groups) <= _MOST_LINES else None
-        panel.errorbar(x[order], y, bars, fmt="o", ms=4, capsize=2, label=shown, ls=line, c=ink)
+        if np.any(bars):
+            panel.errorbar(x[order], y, bars, fmt="none", capsize=2, ecolor=ink)
+        panel.plot(x[order], y, marker="o", ms=4, label=shown, ls=line, color=ink)
     if words:
         panel.set_xticks(range(len(words)), [_plain(word) for word in words])
-    panel.set_xlabel(_plain(f"{short[key]} [{unit}]" if unit else short[key]))
+        panel.margins(x=0.15)
+    else:
+        panel.locator_params(axis="x", nbins=5)
+    panel.set_xlabel(_plain(f"{key} [{unit}]" if unit else key))
     panel.set_ylabel(_plain(f"{name} [{own}]" if own else name))
     panel.grid(color="#dde1e5")
     if panel.get_legend_handles_labels()[0]:

@@ -17,19 +17,21 @@ from dolfin_elastic import Case, sweep
 from dolfin_elastic.case import case as case_module
 from dolfin_elastic.core.errors import InputError, SolveError
 from dolfin_elastic.core.parallel import on_root
-from dolfin_elastic.study.sweep.rows import Row
+from dolfin_elastic.study.sweep.rows import Contents, Row
 from dolfin_elastic.study.sweep.settings import design, read_setting
 from dolfin_elastic.study.sweep.statistics import statistics
 from dolfin_elastic.study.sweep.sweep import planned
+from dolfin_elastic.study.sweep.table import Results, write_table
 
 WORLD = MPI.COMM_WORLD
+STEEL = {"law": "linear-elastic", "E": "1 MPa", "nu": 0.3, "density": 1e3}
 
 
 def bar(folder: Path, **tables: Any) -> Case:
     """A bar of 1 m that is pulled by 1 kPa: u = p L / E, free to contract."""
     whole: dict[str, Any] = {
         "mesh": {"rectangle": {"size": [1, 0.5], "cells": [2, 1]}},
-        "materials": {"steel": {"law": "linear-elastic", "E": "1 MPa", "nu": 0.3, "density": 1e3}},
+        "materials": {"steel": STEEL},
         "support": [
             {"on": "left", "kind": "symmetry"},
             {"on": "bottom", "kind": "symmetry"},
@@ -134,6 +136,42 @@ def test_a_mesh_file_that_has_changed(folder: Path) -> None:
     assert second > 1.5 * first
 
 
+def test_files_that_files_name(folder: Path) -> None:
+    """Arrays of XDMF, what a script merges, and a folder of results count; other texts do not."""
+    made = folder / "files"
+
+    def digests() -> list[str]:
+        contents = Contents()
+        return [contents.of(made / name) for name in ("m.xdmf", "p.geo", "run", "left", "none")]
+
+    def written(text: str) -> None:
+        for name in ("run", "left"):
+            (made / name).mkdir(parents=True, exist_ok=True)
+        (made / "m.xdmf").write_text("<DataItem>m.h5:/mesh</DataItem>")
+        (made / "p.geo").write_text('Merge "part.step";')
+        for name in ("m.h5", "part.step", "run/summary.json", "left/x.txt"):
+            (made / name).write_text(text)
+
+    on_root(WORLD, lambda: written("1"))
+    first = on_root(WORLD, digests)
+    assert on_root(WORLD, digests) == first
+    on_root(WORLD, lambda: written("2"))
+    changed = [a != b for a, b in zip(first, on_root(WORLD, digests), strict=True)]
+    assert changed == [True, True, True, False, False]
+
+
+def test_a_peak_that_is_singular(folder: Path) -> None:
+    """At the edge of a clamp: on that face it is called so, and has no error."""
+    tables = {"support": [{"on": "left"}], "materials": {"steel": STEEL | {"allowable": 1e5}}}
+    case = bar(folder, **tables)
+    values = {"mesh.rectangle.cells": [[16, 8]]}
+    (row,) = sweep(case, values, output=folder / "out", tell=["von_mises on left"]).rows
+    assert "singular" in row.remarks["von_mises on left"]
+    assert math.isnan(row.errors["von_mises on left"])
+    (row,) = sweep(case, values, output=folder / "usual").rows
+    assert "singular" in row.remarks["safety_factor"]
+
+
 def test_a_row_that_fails_is_kept(folder: Path) -> None:
     """With its cause; the others are computed, and the table has all of them."""
     case = bar(folder)
@@ -158,6 +196,8 @@ def test_all_rows_fail(folder: Path) -> None:
     [
         ({"materials.stel.E": [1]}, [], "did you mean 'steel'"),
         ({"materials.steel.EE": [1]}, [], "did you mean 'E'"),
+        ({"titel": ["a"]}, [], "unknown key 'titel'"),
+        ({"mesh": [1, 2]}, [], "mesh"),
         ({"load.rigt.value": [[1, 0]]}, [], "did you mean 'right'"),
         ({"load[3].value": [[1, 0]]}, [], "no row '3'"),
         ({"materials.steel.E.x": [1]}, [], "no table"),
@@ -245,6 +285,16 @@ def test_indices_of_ishigami() -> None:
     assert [of[key].first for key in "abc"] == pytest.approx([0.3139, 0.4424, 0.0], abs=0.02)
     assert [of[key].total for key in "abc"] == pytest.approx([0.5576, 0.4424, 0.2437], abs=0.02)
     assert all(0.0 < of[key].error < 0.05 for key in "abc")
+
+
+def test_indices_of_what_hardly_varies_are_written(folder: Path) -> None:
+    """Of two values some resampled sets have no variance: no number, and no traceback."""
+    made = design([read_setting(key, "uniform(0, 1)") for key in "ab"], sobol=4)
+    rows = rows_of(made, lambda a, b: float(a > 0.8))
+    results = Results("case", folder, made, tuple(rows))
+    on_root(WORLD, lambda: write_table(results, plot=False))
+    summary = json.loads(on_root(WORLD, (folder / "sweep.json").read_text))
+    assert len(summary["rows"]) == 16
 
 
 def test_no_statistics_of_lists_and_no_indices_without_a_row() -> None:

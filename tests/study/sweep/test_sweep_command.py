@@ -94,6 +94,9 @@ def test_jobs(tmp_path: Path) -> None:
     assert out.count(" of 10  E = ") == 10
     assert [row["status"] for row in table(tmp_path)] == ["solved"] * 10
     assert not list((tmp_path / "case_sweep").glob("*/row.lock"))
+    code, _, err = cli(*words, "--tell", "nonsense", folder=tmp_path)
+    assert code == 2
+    assert "there is no result 'nonsense'" in err
 
 
 @pytest.mark.long
@@ -106,8 +109,8 @@ def test_an_array_job(tmp_path: Path) -> None:
     srun.write_text('#!/bin/bash\nexec "$@"\n')
     for file in (program, srun):
         file.chmod(file.stat().st_mode | stat.S_IXUSR)
-    words = ["sweep", "case.toml", "--set", "materials.rubber.E=1 MPa,2 MPa"]
-    code, out, err = cli(*words, "--slurm", "job.sh", folder=tmp_path)
+    words = ["sweep", "--set", "materials.rubber.E=1 MPa,2 MPa", "case.toml"]
+    code, out, err = cli(*words, "--jobs", "2", "--slurm", "job.sh", folder=tmp_path)
     assert code == 0, err
     assert "sbatch job.sh" in out
     assert "#SBATCH --array=1-2\n" in (tmp_path / "job.sh").read_text()

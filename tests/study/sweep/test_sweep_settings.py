@@ -86,6 +86,9 @@ def test_units_stay() -> None:
         ("normal(1, -2)", "not positive"),
         ("uniform(2, 1)", "empty"),
         ("lognormal(-1, 10 %)", "positive mean"),
+        ("normal(0 mm, 3 %)", "percentage of 0"),
+        ("gauss(3 %)", "no distribution 'gauss'"),
+        ("normal(210 GPa", "bracket is not closed"),
     ],
 )
 def test_wrong_values(text: str, message: str) -> None:
@@ -140,6 +143,7 @@ def test_samples_of_sobol() -> None:
     [
         ({}, {}, "nothing varies"),
         ({"a": "1,2", "b": "1,2,3"}, {"together": True}, "different lengths"),
+        ({"a": "1,2", "b": "normal(1, 2)"}, {"together": True}, "nothing to go together with"),
         ({"a": "1,2"}, {"samples": 5}, "nothing scatters"),
         ({"a": "normal(1, 2)"}, {"sobol": 6}, "no power of 2"),
         ({"a": "normal(1, 2)", "b": "1,2"}, {"sobol": 4}, "list of values"),
