@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 _OF_MPI = ("PMIX_", "PRTE_", "OMPI_COMM_", "OMPI_UNIVERSE", "PMI_", "SLURM_")
 """Variables by which a launcher tells a process that it is one of several ranks."""
-_MOST_ROWS, _MOST_SHOWN = 40, 4
+_MOST_ROWS, _MOST_SHOWN = 40, 3
 """Rows and results of the table on the terminal; the file has all of them."""
 _PAGE = "sweep.html"
 

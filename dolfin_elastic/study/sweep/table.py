@@ -34,8 +34,8 @@ if TYPE_CHECKING:
 TABLE, SUMMARY, PLOT = FILES = ("sweep.csv", "sweep.json", "sweep.png")
 _SOURCES = {"materials": "the material", "load": "the loads", "support": "the supports"}
 _ANY = "what scatters"
-_NOTHING = 1e-6
-"""Of the largest: what is below is round-off, and not shown first."""
+_NOTHING, _SMALL = 1e-6, 1e-4
+"""Deviation over the mean that is none, and size over the largest that is not shown first."""
 _USEFUL = 64
 """Samples from which on Sobol's indices are worth something."""
 _MOST_PANELS, _MOST_LINES = 6, 8
@@ -138,13 +138,13 @@ class Results:
 
     @property
     def large(self) -> list[str]:
-        """Results that are not round-off beside others of their unit, or zero."""
+        """Results that are not zero, nor far smaller than others of their unit."""
         names = self.names
         size = {name: max(abs(row.numbers.get(name, 0.0)) for row in self.rows) for name in names}
         most = dict[str, float]()
         for name in names:
             most[unit_of(name)] = max(most.get(unit_of(name), 0.0), size[name])
-        return [name for name in names if size[name] > _NOTHING * most[unit_of(name)]]
+        return [name for name in names if size[name] > _SMALL * most[unit_of(name)]]
 
     def remarks(self) -> list[str]:
         """What is to be known of results, each once, with the runs that it is of."""
