@@ -91,6 +91,11 @@ KINDS: Mapping[str, TestKind] = {
 }
 """Name of an option of the command line, and key of `fit`, to the test."""
 
+_PULLED = ("uniaxial", "equibiaxial", "planar")
+"""Tests whose stress has the sign of the strain."""
+_ABOUT_REST = 0.9
+"""A strain above this in all rows may be a stretch, which is 1 at rest."""
+
 
 @dataclass(frozen=True)
 class TestCurve:
@@ -324,4 +329,47 @@ def _checked(
             where=file or kind,
             expected="one stretch in all lines; cyclic follows any stretch over time",
         )
+    if kind in _PULLED:
+        at = heads.get(first, first)
+        _check_signs(curve, f"{file}: {at}" if file else f"{kind}: {at}", "strain" in at.casefold())
     return curve
+
+
+def _check_signs(curve: TestCurve, where: str, strain: bool) -> None:
+    """Refuses a strain in the place of a stretch, the reverse, and pressures as stresses.
+
+    Args:
+        where: File and column of the stretch or strain.
+        strain: By its heading it has strains, 0 at rest.
+
+    Raises:
+        InputError: Most stresses pull where the bar is shorter or push where it is longer, or the
+            stress vanishes where nothing is at rest.
+    """
+    size = np.abs(curve.stress)
+    order = np.argsort(size)
+    if strain and (curve.x > 1 + _ABOUT_REST).all() and len(order) > 1:
+        (x, next_x), (P, next_P) = curve.x[order[:2]], curve.stress[order[:2]]
+        rest = x - P * (next_x - x) / (next_P - P) if next_P != P else x
+        if abs(rest - 2) < 1 - _ABOUT_REST:
+            raise CaseError(
+                f"the stress vanishes at a strain of about {rest - 1:.2g}",
+                where=where,
+                expected="a strain, 0 at rest: is this column a stretch?",
+            )
+    if not strain and curve.x[order[0]] < 0.5 and size[order[0]] < 0.1 * size.max():
+        raise CaseError(
+            f"the stress nearly vanishes at a stretch of {curve.x[order[0]]:g}",
+            where=where,
+            expected="a stretch, 1 at rest: is this column a strain?",
+        )
+    wrong = int(np.sum(curve.stress * (curve.x - 1) < 0))
+    if 2 * wrong > len(size):
+        away = np.abs(curve.x - 1)
+        grows = float(np.dot(size - size.mean(), away - away.mean())) > 0
+        ask = f"is this column a {'stretch' if strain else 'strain'}?"
+        raise CaseError(
+            f"{wrong} of {len(size)} stresses have the sign opposite to that of the strain",
+            where=where,
+            expected=f"stresses below 0 in compression, above in tension; {ask}" if grows else ask,
+        )

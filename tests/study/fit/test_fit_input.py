@@ -58,6 +58,14 @@ def test_headings_units_and_measures(tmp_path):
         ("relaxation", "time,stress,stretch\n1,2,1.1\n0.5,1,1.1\n", ("line 3", "falls")),
         ("relaxation", "time,stress,stretch\n1,2,1.1\n2,1,1.2\n", ("not constant",)),
         ("volumetric", "J,pressure\n0,2\n", ("line 2", "column 'J'")),
+        # Strains as stretches, stretches as strains, pressures as stresses.
+        ("uniaxial", "stretch,stress\n0.1,1\n0.2,2\n0.4,3\n", ("'stretch'", "a strain?")),
+        ("planar", "stretch,stress\n0.01,0.01\n2,3\n4,5\n", ("0.01", "a strain?")),
+        ("equibiaxial", "strain,stress\n1,0\n1.2,2\n1.4,3\n", ("'strain'", "a stretch?")),
+        ("uniaxial", "strain,stress\n1.1,1\n1.2,2\n1.4,3\n", ("about 1;", "a stretch?")),
+        ("uniaxial", "strain,stress\n1,0\n0.9,-1\n0.8,-2\n", ("2 of 3", "a stretch?")),
+        ("uniaxial", "stretch,stress\n1,0\n0.9,1\n0.8,2\n", ("2 of 3", "below 0")),
+        ("uniaxial", "strain,stress\n0,0\n-0.1,1\n-0.2,2\n", ("2 of 3", "below 0")),
     ],
 )
 def test_files_that_cannot_be(kind, text, words, tmp_path):
@@ -66,6 +74,14 @@ def test_files_that_cannot_be(kind, text, words, tmp_path):
     assert "a.csv" in str(caught.value)
     for word in words:
         assert word in str(caught.value)
+
+
+def test_scatter_and_long_tests_are_no_faults(tmp_path):
+    """A few stresses of the wrong sign at the rest, and stresses that begin at large strains."""
+    read(tmp_path, "stretch,stress\n1,0.01\n1.01,-0.02\n1.02,-0.01\n1.1,1\n1.2,2\n1.3,3\n")
+    read(tmp_path, "strain,stress\n0.0,0\n0.5,1\n1,2\n4,3\n")
+    read(tmp_path, "strain,stress\n1,2\n2,3\n3,5\n")
+    read(tmp_path, "stretch,stress\n0.3,-9\n0.5,-2\n0.8,-0.5\n0.95,-0.1\n")
 
 
 CURVE = (np.array([1.1, 1.3, 1.6]), np.array([1e5, 2e5, 3e5]))
