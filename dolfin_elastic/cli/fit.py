@@ -44,8 +44,9 @@ def fit(
         Files, typer.Option("--cyclic", metavar="CSV", help="A bar strained to and fro.")
     ] = None,
     unit: Annotated[
-        str, typer.Option("--unit", help="Unit of stresses without one in their heading.")
-    ] = "Pa",
+        str | None,
+        typer.Option("--unit", help="Unit of stresses without one in their heading, else Pa."),
+    ] = None,
     true: Annotated[bool, typer.Option("--true", help="Stresses are Cauchy's.")] = False,
     weight: Annotated[
         Texts, typer.Option("--weight", metavar="TEST=W", help="Weight of a test: uniaxial=2.")
@@ -175,7 +176,7 @@ def _fit(
     name: str,
     table: Mapping[str, object],
     data: Mapping[str, Sequence[Path]],
-    unit: str,
+    unit: str | None,
     true: bool,
     fix: Sequence[str],
     bounds: Mapping[str, str],

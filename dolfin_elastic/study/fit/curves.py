@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -109,6 +109,7 @@ class TestCurve:
         true: The stress is Cauchy's, a force over the current area.
         weight: Of its mean square error in the sum that is made least.
         source: Its file; empty: it was given in Python.
+        bare: No unit of its stresses was given anywhere.
     """
 
     __test__ = False  # for pytest
@@ -120,6 +121,7 @@ class TestCurve:
     true: bool = False
     weight: float = 1.0
     source: str = ""
+    bare: bool = False
 
     @property
     def size(self) -> float:
@@ -139,14 +141,14 @@ def known_kind(kind: str, where: str = "") -> TestKind:
     return KINDS[kind]
 
 
-def as_curve(kind: str, data: object, *, unit: str = "Pa", true: bool = False) -> TestCurve:
+def as_curve(kind: str, data: object, *, unit: str | None = None, true: bool = False) -> TestCurve:
     """A curve of what a caller of `fit` gives.
 
     Args:
         data: A `TestCurve`, the path of a CSV file, or arrays: stretch or shear and stress; volume
             ratio and pressure; of relaxation time, stress and stretch; of cycles stretch, stress
             and possibly time.
-        unit: Of stresses whose column has none.
+        unit: Of stresses whose column has none; None: Pa.
         true: Stresses whose column does not say what they are, are Cauchy's.
 
     Raises:
@@ -160,7 +162,7 @@ def as_curve(kind: str, data: object, *, unit: str = "Pa", true: bool = False) -
     assert isinstance(data, Sequence | np.ndarray)
     columns, found = (*what.columns, *what.more), {}
     for (name, meanings), values in zip(columns, data, strict=False):
-        factor = unit_to_si(unit, "Pa") if meanings[0].unit == "Pa" else 1.0
+        factor = unit_to_si(unit or "Pa", "Pa") if meanings[0].unit == "Pa" else 1.0
         found[name] = meanings[0].convert(factor * np.asarray(values, dtype=np.float64))
     names = [name for name, _ in columns]
     if len({len(values) for values in found.values()}) != 1 or len(found) < 2:
@@ -171,12 +173,12 @@ def as_curve(kind: str, data: object, *, unit: str = "Pa", true: bool = False) -
     return _checked(kind, found, true, "", rows, {})
 
 
-def read_curve(kind: str, path: Path, *, unit: str = "Pa", true: bool = False) -> TestCurve:
+def read_curve(kind: str, path: Path, *, unit: str | None = None, true: bool = False) -> TestCurve:
     """A curve from a CSV file. Not collective.
 
     Args:
         kind: One of `KINDS`.
-        unit: Of stresses whose heading has none, as "stress [MPa]" has.
+        unit: Of stresses whose heading has none, as "stress [MPa]" has; None: Pa.
         true: Stresses whose heading does not say what they are, are Cauchy's.
 
     Raises:
@@ -184,7 +186,7 @@ def read_curve(kind: str, path: Path, *, unit: str = "Pa", true: bool = False) -
     """
     what, file = known_kind(kind), str(path)
     try:
-        default = unit_to_si(unit, "Pa")
+        default = unit_to_si(unit or "Pa", "Pa")
     except UnitError as error:
         raise CaseError(error.what, where="--unit", expected=error.expected) from None
     try:
@@ -192,7 +194,7 @@ def read_curve(kind: str, path: Path, *, unit: str = "Pa", true: bool = False) -
     except InputError as error:
         hint = error.expected.replace("paths are relative to the case file", "")
         raise CaseError(error.what, where=file, expected=hint) from None
-    found, heads, is_true = dict[str, FloatArray](), dict[str, str](), true
+    found, heads, is_true, bare = dict[str, FloatArray](), dict[str, str](), true, False
     for place, (name, meanings) in enumerate((*what.columns, *what.more)):
         at = _column(table, name, meanings, file, place, needed=place < 2)
         if at is None:
@@ -202,9 +204,12 @@ def read_curve(kind: str, path: Path, *, unit: str = "Pa", true: bool = False) -
         numbers = _numbers(table, index, meaning, given, default, f"{file}: {heads[name]}")
         found[name] = meaning.convert(numbers)
         is_true |= meaning.true
+        if meaning.unit == "Pa" and not given:
+            bare = unit is None and any(is_number(row[index]) for _, row in table.rows)
         if meaning.unit == "Pa" and table.head and "nominal" in table.head[index].casefold():
             is_true = False
-    return _checked(kind, found, is_true, file, [line for line, _ in table.rows], heads)
+    curve = _checked(kind, found, is_true, file, [line for line, _ in table.rows], heads)
+    return replace(curve, bare=bare)
 
 
 def _plain(head: str) -> tuple[str, str]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -11,7 +11,7 @@ import numpy as np
 
 from dolfin_elastic.case.tables import Material
 from dolfin_elastic.core.errors import CaseError, InputError
-from dolfin_elastic.core.si_text import percent
+from dolfin_elastic.core.si_text import listed, percent, quantity
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.model.materials.isochoric import Isochoric
 from dolfin_elastic.model.materials.law import Law
@@ -31,6 +31,12 @@ STARTS, SLOW_STARTS, EVALUATIONS = 24, 4, 400
 """Largest number of starts, that of compressible laws and metals, and of steps from each."""
 _NEARLY = 0.49
 """Poisson's ratio from which on a law of rubber is close to an incompressible one."""
+_POOR = 0.2
+"""R.m.s. error over the largest stress above which a law does not describe a test."""
+_SOFT = 1e3
+"""Young's modulus below which a unit may be wrong [Pa]: gelatine has some kPa."""
+_SMALL = 1e-5
+"""Strain at which Young's modulus is measured."""
 _LINE = 120
 """Points of a curve of the law."""
 
@@ -146,7 +152,7 @@ def fit(
     fix: Collection[str] = (),
     bounds: Mapping[str, object] | None = None,
     weights: Mapping[str, float] | None = None,
-    unit: str = "Pa",
+    unit: str | None = None,
     true: bool = False,
     starts: int | None = None,
     evaluations: int = EVALUATIONS,
@@ -162,7 +168,7 @@ def fit(
         fix: Names of constants that keep their values.
         bounds: Name of a constant to its least and largest value, None: none.
         weights: Name of a kind of test to the weight of its mean square error; 1 by default.
-        unit: Of stresses whose column has none.
+        unit: Of stresses whose column has none; None: Pa, and a note for files.
         true: Stresses whose column does not say what they are, are Cauchy's.
         starts: Largest number of starts of the search; None: 24, of compressible laws and metals 4.
         evaluations: Largest number of steps from each.
@@ -217,7 +223,7 @@ def read_curves(
     data: Mapping[str, object],
     weights: Mapping[str, float],
     *,
-    unit: str = "Pa",
+    unit: str | None = None,
     true: bool = False,
 ) -> list[TestCurve]:
     """All curves, with their weights.
@@ -278,7 +284,7 @@ def _result(start: Law, model: Model, constants: list[Constant], answer: Answer)
         curves,
         known.correlation,
         tuple(unknown),
-        (*notes, *more),
+        (*notes, *more, *_doubts(curves, law, model, answer.z)),
         answer.ended,
         answer.why,
         answer.starts,
@@ -286,6 +292,39 @@ def _result(start: Law, model: Model, constants: list[Constant], answer: Answer)
         model,
         answer.z,
     )
+
+
+def _doubts(curves: Sequence[FittedCurve], law: Law, model: Model, z: FloatArray) -> Iterator[str]:
+    """Tests that the law does not describe, and stresses whose unit nobody has given."""
+    for curve in curves:
+        if curve.relative > _POOR:
+            test = curve.measured
+            yield (
+                f"the law does not describe the {f'{test.kind} test {test.source}'.rstrip()}: its "
+                f"r.m.s. error is {percent(curve.relative)} of the largest stress"
+            )
+    if bare := [c.measured.source for c in curves if c.measured.bare]:
+        yield (
+            f"the stresses of {listed(bare)} have no unit and were taken in Pa: write it in the "
+            'heading, "stress [MPa]", or give --unit'
+        )
+        E = _modulus(law, model, z)
+        if abs(E) < _SOFT:
+            yield (
+                f"warning: Young's modulus at small strains is {quantity(E, 'Pa')}, softer than "
+                "jelly: was --unit forgotten?"
+            )
+
+
+def _modulus(law: Law, model: Model, z: FloatArray) -> float:
+    """Young's modulus at small strains [Pa]; nan where it is not known."""
+    if (moduli := law.small_strain()) is not None:
+        return float(moduli.E)
+    if not isinstance(model.tests, HomogeneousTests):
+        return np.nan
+    x = np.array([1 - _SMALL, 1 + _SMALL])
+    low, high = model.tests.predict(TestCurve("uniaxial", x, x), z[None] * model.scale)[0]
+    return float(high - low) / (2 * _SMALL)
 
 
 def _line(model: Model, curve: TestCurve, z: FloatArray) -> tuple[FloatArray, FloatArray] | None:

@@ -158,3 +158,22 @@ def test_codes_of_the_command(tmp_path):
     assert code == 3
     assert "[materials.rubber]" in out
     assert "has not ended: 2 steps are done" in err
+
+
+def test_what_to_doubt_of_an_answer(tmp_path):
+    """Stresses without a unit, a modulus of a few Pa, and a law that is far from the test."""
+    file = tmp_path / "a.csv"
+    file.write_text(GOOD)
+    data, law = {"uniaxial": file}, NeoHookean(mu=1.0, nu=0.5)
+    bare, soft = fit(law, data).notes
+    assert f"the stresses of {file} have no unit and were taken in Pa" in bare
+    assert "was --unit forgotten?" in soft
+    energy = "mu/2*(I1 - 3) - mu*ln(J) + lmbda/2*ln(J)^2"
+    own = {"energy": energy, "parameters": {"mu": 1.0, "lmbda": 1.0}}
+    assert any("was --unit forgotten?" in line for line in fit(own, data).notes)
+    assert not fit(law, data, unit="Pa").notes
+    file.write_text(GOOD.replace("stress", "stress [Pa]"))
+    assert not fit(law, data).notes
+    file.write_text("stretch,stress\n1,0\n1.5,0\n2,0\n2.1,1 MPa\n")
+    (line,) = fit(NeoHookean(mu=1e5, nu=0.5), data).notes[:1]
+    assert f"the law does not describe the uniaxial test {file}: its r.m.s. error is" in line
