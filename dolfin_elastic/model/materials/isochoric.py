@@ -157,7 +157,8 @@ class Isochoric(Volumetric):
         if len(given) != 1:
             raise InputError(
                 "K and nu given together" if given else "neither K nor nu is given",
-                expected="the volume needs one of them beside the law's own constants",
+                expected="one of them beside the law's own constants: nu = 0.5 is incompressible, "
+                "which serves for rubber and soft tissue",
             )
         if self.spatial_constants():
             return

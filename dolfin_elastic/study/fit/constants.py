@@ -295,19 +295,23 @@ def _put(table: object, name: str, value: object) -> None:
 
 def marked_constants(table: Mapping[str, object]) -> Iterator[str]:
     """Names of the values of a material's table that are "fit"."""
-    for key, value in table.items():
-        if value == FIT:
-            yield key
-        elif isinstance(value, Mapping):
-            yield from (f"{key}.{inner}" for inner in marked_constants(value))
-        elif isinstance(value, list | tuple):
-            for i, part in enumerate(value):
-                if part == FIT:
-                    yield f"{key}[{i}]"
-                elif isinstance(part, Mapping):
-                    yield from (f"{key}[{i}].{inner}" for inner in marked_constants(part))
+    return (name for name, text in _texts(table) if text == FIT)
 
 
+def _texts(value: object, name: str = "") -> Iterator[tuple[str, str]]:
+    """Names and texts of a table, of what is inside it, too."""
+    if isinstance(value, str):
+        yield name, value
+    elif isinstance(value, Mapping):
+        for key, part in value.items():
+            yield from _texts(part, f"{name}.{key}" if name else key)
+    elif isinstance(value, list | tuple):
+        for i, part in enumerate(value):
+            yield from _texts(part, f"{name}[{i}]")
+
+
+_NAMES = ("law", "on", "energy", "source", "material")
+"""Texts of a material's table that stand for no number."""
 _EXPONENTS = (2.0, -2.0, 5.0, -5.0, 9.0)
 _BEYOND = 1.3
 """Of a limit of extension over the largest one that was measured."""
@@ -320,8 +324,12 @@ def guessed(table: Mapping[str, object], curves: Sequence[TestCurve]) -> dict[st
         curves: What the sizes of moduli and times follow from.
 
     Raises:
-        InputError: A parameter of a formula, of which nothing is known, has no value.
+        InputError: "fit" is misspelt, or a parameter of a formula, of which nothing is known, has
+            no value.
     """
+    for name, text in _texts(table):
+        if text != FIT and name not in _NAMES and (hint := nearest(text, [FIT])).startswith("did"):
+            raise InputError(f"'{text}' is neither a number nor \"fit\"", where=name, expected=hint)
     names, result = [*marked_constants(table)], _plain(table)
     assert isinstance(result, dict)
     sizes, times = _sizes(curves), [c.time for c in curves if c.time is not None]

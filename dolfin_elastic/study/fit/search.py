@@ -23,6 +23,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from dolfin_elastic.core.errors import CaseError, SolveError
+from dolfin_elastic.core.si_text import counted
 from dolfin_elastic.core.types import BoolArray, FloatArray
 from dolfin_elastic.model.materials.law import Law
 from dolfin_elastic.model.materials.viscous import Relaxation
@@ -77,8 +78,10 @@ class Model:
         self._last: tuple[FloatArray, FloatArray, FloatArray] | None = None
         if len(self.measured) <= len(self.free):
             raise CaseError(
-                f"{len(self.measured)} points cannot tell {len(self.free)} constants",
-                expected="more points, or --fix",
+                f"{counted(len(self.measured), 'point')} cannot tell "
+                f"{counted(len(self.free), 'constant')}",
+                where=", ".join(curve.source or curve.kind for curve in curves),
+                expected="more points than constants, or --fix",
             )
 
     def stresses(self, z: FloatArray) -> FloatArray:

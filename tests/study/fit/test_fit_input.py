@@ -115,6 +115,15 @@ def test_tests_that_a_law_has_no_answer_to():
         fit(solid, {"relaxation": ([1.0, 2.0], [2e5, 1e5], [1.1, 1.1])})
     with pytest.raises(InputError, match="2 points cannot tell 2 constants"):
         fit(MooneyRivlin(c10=1e5, c01=1e3, nu=0.5), {"uniaxial": ([1.1, 1.2], [1e5, 2e5])})
+    with pytest.raises(InputError, match="^uniaxial: 1 point cannot tell 1 constant;"):
+        fit(solid, {"uniaxial": ([1.1], [1e5])})
+    for table, words in (
+        ({"law": "neo-hookean", "mu": "fitt", "nu": 0.5}, "mu: 'fitt' is .* did you mean 'fit'"),
+        ({"law": "ogden", "mu": ["fit", "Fit"], "alpha": [2, 3], "nu": 0.5}, r"mu\[1\]: 'Fit' is"),
+        ({"law": "ogden", "mu": ["fit"], "alpha": [2]}, "neither K nor nu is given; .*nu = 0.5"),
+    ):
+        with pytest.raises(InputError, match=words):
+            fit(table, {"uniaxial": CURVE})
     with pytest.raises(InputError, match="no kind of test; did you mean 'uniaxial'"):
         fit(solid, {"uniaxal": CURVE})
 
