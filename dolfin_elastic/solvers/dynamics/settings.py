@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from functools import cached_property
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field, field_serializer, model_validator
 
-from dolfin_elastic.core.errors import InputError, nearest
+from dolfin_elastic.core.errors import InputError, UnitError, nearest
 from dolfin_elastic.core.schema import (
     Record,
     UnusedKeys,
@@ -16,7 +17,8 @@ from dolfin_elastic.core.schema import (
     refuse_times_beyond,
     refuse_unused_keys,
 )
-from dolfin_elastic.core.units import Force, Number, Rate, Time
+from dolfin_elastic.core.si_text import counted
+from dolfin_elastic.core.units import Force, Number, Rate, Time, to_si
 from dolfin_elastic.model.values import Component, components, depends_on_time
 from dolfin_elastic.solvers.dynamics.implicit.generalized_alpha import GeneralizedAlphaParameters
 from dolfin_elastic.solvers.dynamics.implicit.output_times import Interval
@@ -67,12 +69,18 @@ class Rayleigh(Record):
     @classmethod
     def _short(cls, value: object) -> object:
         """Two numbers stand for both."""
-        if not isinstance(value, list | tuple):
+        if isinstance(value, Mapping | Rayleigh):
             return value
+        if not isinstance(value, list | tuple):
+            raise InputError(
+                f"{quoted(value)} is wrong",
+                expected="expected [alpha, beta], of the mass in 1/s and of the stiffness in s, or "
+                "a table {mass = alpha, stiffness = beta}",
+            )
         if len(value) != 2:
             raise InputError(
-                f"{len(value)} factors given",
-                expected="expected two, [a, b], or {mass = a, stiffness = b}",
+                f"{counted(len(value), 'factor')} given",
+                expected="expected two, [alpha, beta], or {mass = alpha, stiffness = beta}",
             )
         return {"mass": value[0], "stiffness": value[1]}
 
@@ -95,8 +103,27 @@ class BulkViscosityFactors(Record):
     def _short(cls, value: object) -> object:
         if value is True:
             return {}
-        number = isinstance(value, int | float | str) and not isinstance(value, bool)
-        return {"linear": value} if number else value
+        if isinstance(value, Mapping | BulkViscosityFactors):
+            return value
+        form = "expected true, the linear factor such as 0.06, or a table {linear, quadratic}"
+        return {"linear": _number(value, form)}
+
+
+def _number(value: object, expected: str) -> object:
+    """A number, as it is or as a text.
+
+    Raises:
+        InputError: It is none; with all forms that are allowed.
+    """
+    if isinstance(value, int | float | str) and not isinstance(value, bool):
+        with suppress(UnitError):
+            to_si(value, "")
+            return value
+    raise InputError(f"{quoted(value)} is wrong", expected=expected)
+
+
+def _fraction(value: object) -> object:
+    return value if value is None else _number(value, 'expected a fraction of the mass, 0.01 or "1 %"')
 
 
 MOST_STEPS = 1e9
@@ -190,7 +217,7 @@ class DynamicsSettings(Record):
     gamma: float | None = Field(default=None, ge=0.5)
     rayleigh: Rayleigh | None = None
     bulk_viscosity: BulkViscosityFactors | None = None
-    mass_scaling: Number | None = Field(default=None, gt=0, le=1)
+    mass_scaling: Annotated[Number | None, BeforeValidator(_fraction)] = Field(default=None, gt=0, le=1)
     preload: bool = False
     start: MotionStart | None = None
     initial_displacement: list[Any] = Field(default=[])
