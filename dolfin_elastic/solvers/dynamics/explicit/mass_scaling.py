@@ -203,7 +203,11 @@ def _tell_of_limit(needed: float, most: float) -> None:
 
 def _advice(fraction: float) -> str:
     """What to do where a fraction of the mass would have to be added: settings permit 1."""
-    ways = "a shorter dt, or a mesh without such thin elements"
+    ways = (
+        "leave mass_scaling out if dt is not much longer: that is the bound of elements, below the "
+        "stable step of the body, and the run may need no added mass; else a shorter dt, or a mesh "
+        "without such thin elements"
+    )
     digits = max(1 - floor(log10(fraction)), 0)
     enough = ceil(fraction * 10**digits) / 10**digits
     return f"{ways}, or mass_scaling = {enough:.2g}" if enough <= 1 else ways

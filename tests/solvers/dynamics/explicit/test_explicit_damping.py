@@ -263,6 +263,7 @@ def test_mass_above_the_limit_is_refused() -> None:
     assert 0.9 * enough < states[-1][2]["added_mass_fraction"] <= enough
     assert [_advice(x).split(" = ")[1] for x in (0.0121, 0.12, 0.995)] == ["0.013", "0.12", "1"]
     assert "=" not in _advice(2.81)
+    assert "leave mass_scaling out if dt is not much longer" in str(little.value)
 
 
 def test_without_thin_elements_nothing_is_added() -> None:
