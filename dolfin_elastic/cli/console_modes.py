@@ -58,6 +58,8 @@ def show_modes(
             "x, y, z: % of the body's mass that a mode moves along them; about: % of its moment of "
             f"inertia that it turns; together {carried}"
         )
+    what = "buckling loads" if buckling else "modes"
+    screen.print(f"the error by the size of the elements is not estimated for {what}")
 
 
 def _axis_points(modes: Sequence[Mode]) -> list[str]:

@@ -360,7 +360,8 @@ def _not_judged(run: FinishedRun, error: Value | None) -> Iterator[str]:
     )
     kind = analysis_of(run.case)
     if kind in ("modal", "buckling"):
-        yield "The error by the size of the elements is not estimated for modes."
+        what = "modes" if kind == "modal" else "buckling loads"
+        yield f"The error by the size of the elements is not estimated for {what}."
     elif run.moving:
         yield "The error by the size of the elements and of the time steps is not estimated."
     elif error is None and run.summary.get("status") == "completed":

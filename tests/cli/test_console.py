@@ -16,9 +16,10 @@ from dolfin_elastic.cli.console import (
     console,
 )
 from dolfin_elastic.cli.console_materials import report_table
+from dolfin_elastic.cli.console_modes import show_modes
 from dolfin_elastic.model.point.report import MaterialReport
 from dolfin_elastic.model.point.tested import Finding
-from dolfin_elastic.problem.state import State
+from dolfin_elastic.problem.state import Mode, State
 
 
 def test_warnings_and_errors_have_the_word_in_front(capfd):
@@ -98,3 +99,13 @@ def test_times_of_a_run_in_plain_form() -> None:
     """No powers of ten where people read seconds."""
     seconds = {"mesh": 0.004, "compile": 0.25, "solve": 1234.5, "output": 150.2, "total": 1385.0}
     assert _times(seconds) == "1385 s (compile 0.25, solve 1234, output 150)"
+
+
+@pytest.mark.parametrize(("kind", "what"), [("elastic", "modes"), ("buckling", "buckling loads")])
+def test_the_error_of_modes_is_not_estimated(kind, what, capsys):
+    """One line below their table, as the report has it."""
+    mass = {"x": 1.0}
+    mode = Mode(1, kind, None, None, 4.0, 0.3, effective=mass, whole=mass)
+    show_modes([mode], [{"shape": "bending"}], {"total": 1.0})
+    last = capsys.readouterr().out.splitlines()[-1]
+    assert last == f"the error by the size of the elements is not estimated for {what}"

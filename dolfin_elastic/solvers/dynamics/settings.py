@@ -123,7 +123,9 @@ def _number(value: object, expected: str) -> object:
 
 
 def _fraction(value: object) -> object:
-    return value if value is None else _number(value, 'expected a fraction of the mass, 0.01 or "1 %"')
+    return (
+        value if value is None else _number(value, 'expected a fraction of the mass, 0.01 or "1 %"')
+    )
 
 
 MOST_STEPS = 1e9
@@ -217,7 +219,9 @@ class DynamicsSettings(Record):
     gamma: float | None = Field(default=None, ge=0.5)
     rayleigh: Rayleigh | None = None
     bulk_viscosity: BulkViscosityFactors | None = None
-    mass_scaling: Annotated[Number | None, BeforeValidator(_fraction)] = Field(default=None, gt=0, le=1)
+    mass_scaling: Annotated[Number | None, BeforeValidator(_fraction)] = Field(
+        default=None, gt=0, le=1
+    )
     preload: bool = False
     start: MotionStart | None = None
     initial_displacement: list[Any] = Field(default=[])
