@@ -111,6 +111,7 @@ def _field_unit(column: str) -> str | None:
 ANALYSES = ("statics", "modal", "buckling", "dynamics")
 """Folders of the results of a case with several analyses."""
 _SUMMARY, _HISTORY, _FIELDS = "summary.json", "history.csv", "results.xdmf"
+_SWEEP = "sweep.json"
 
 
 def folders_of_analyses(folder: Path) -> list[Path]:
@@ -170,6 +171,13 @@ class FinishedRun(Shown):
                 "it holds the results of several analyses",
                 where=where,
                 expected=f"the folder of one: {' or '.join(map(str, several))}",
+            )
+        if (folder / _SWEEP).is_file():
+            one = next((f": {path.parent}" for path in sorted(folder.glob(f"*/{_SUMMARY}"))), "")
+            raise InputError(
+                "it holds the results of a sweep",
+                where=where,
+                expected=f"sweep.html there shows all; expected the folder of one run{one}",
             )
         if not (folder / _SUMMARY).is_file():
             raise InputError(f"it holds no {_SUMMARY}", where=where, expected=expected)

@@ -81,10 +81,14 @@ def test_what_is_no_result_or_damaged(folder: Path) -> None:
 
 
 def check_damaged(beam: Path) -> None:
+    (beam.parent / "sweep/001").mkdir(parents=True)
+    for file in ("sweep/sweep.json", "sweep/001/summary.json"):
+        (beam.parent / file).write_text("{}")
     for name, what in (
         ("beem", "no such folder; did you mean 'beam'"),
         ("beam/results.xdmf", "this is a file; expected the folder"),
         ("beam/results_data", "it holds no summary.json"),
+        ("sweep", "it holds the results of a sweep; sweep.html there .* one run: .*001$"),
     ):
         with pytest.raises(InputError, match=what):
             FinishedRun(beam.parent / name)
