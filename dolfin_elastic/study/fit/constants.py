@@ -27,6 +27,9 @@ from dolfin_elastic.study.fit.curves import TestCurve
 
 FIT = "fit"
 """In the place of a constant: it is fitted, and has no starting value."""
+_OTHER_NAMES = {"lambda": "lmbda", "yield": "yield_stress", "prony": "viscous"}
+_OTHER_NAMES |= {"g": "ratio", "tau": "time"}
+"""What tables may call constants and branches."""
 VOLUME = ("nu", "K", "lmbda")
 """Constants of the change of volume, which only volumetric tests tell."""
 _BESIDE = ("density", "expansion", "allowable", "viscosity", "plastic_viscosity")
@@ -142,6 +145,12 @@ def chosen(
     result, size = [], _stiffness(curves)
     for row in rows:
         why = ""
+        if row.name in held and row.name in marked:
+            raise CaseError(
+                f"{row.name} is fixed but has no value",
+                where="--fix",
+                expected='its value in place of "fit"',
+            )
         if row.name in held:
             why = "fixed by --fix"
         elif row.name in VOLUME and not volumetric and row.name not in {*marked, *limits}:
@@ -312,6 +321,12 @@ def _texts(value: object, name: str = "") -> Iterator[tuple[str, str]]:
 
 _NAMES = ("law", "on", "energy", "source", "material")
 """Texts of a material's table that stand for no number."""
+def marked_rows(table: Mapping[str, object]) -> list[str]:
+    """The same, by the names that `constants_of` has."""
+    names = marked_constants(table)
+    return [re.sub(r"\w+", lambda m: _OTHER_NAMES.get(m[0], m[0]), name) for name in names]
+
+
 _EXPONENTS = (2.0, -2.0, 5.0, -5.0, 9.0)
 _BEYOND = 1.3
 """Of a limit of extension over the largest one that was measured."""

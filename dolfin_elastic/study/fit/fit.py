@@ -19,7 +19,7 @@ from dolfin_elastic.study.fit.constants import (
     Constant,
     chosen,
     guessed,
-    marked_constants,
+    marked_rows,
     with_numbers,
 )
 from dolfin_elastic.study.fit.curves import KINDS, TestCurve, as_curve, known_kind
@@ -179,7 +179,7 @@ def fit(
     """
     curves = read_curves(data, weights or {}, unit=unit, true=true)
     given = starting_law(law, curves)
-    marked = [] if isinstance(law, Law) else [*marked_constants(law)]
+    marked = [] if isinstance(law, Law) else marked_rows(law)
     constants = chosen(given, curves, fix, bounds or {}, marked)
     start = with_numbers(given, {row.name: row.start for row in constants if not row.held})
     model = Model(start, curves, constants)

@@ -107,6 +107,22 @@ def test_options_that_cannot_be(keys, words):
         assert word in str(caught.value)
 
 
+@pytest.mark.parametrize(
+    ("law", "fix"),
+    [
+        ({"law": "neo-hookean", "mu": "fit", "nu": 0.5}, "mu"),
+        ({"law": "ogden", "mu": ["fit", "1 kPa"], "alpha": ["fit", -2], "nu": 0.5}, "mu"),
+        ({"law": "ogden", "mu": ["fit", "1 kPa"], "alpha": ["fit", -2], "nu": 0.5}, "alpha[0]"),
+        ({"law": "neo-hookean", "mu": "1 MPa", "lambda": "fit"}, "lmbda"),
+    ],
+)
+def test_what_is_fixed_has_a_value(law, fix):
+    """And is not held at a first guess."""
+    with pytest.raises(InputError, match="is fixed but has no value") as caught:
+        fit(law, {"uniaxial": CURVE}, fix=[fix])
+    assert "--fix" in str(caught.value)
+
+
 def test_tests_that_a_law_has_no_answer_to():
     solid = NeoHookean(mu=1e5, nu=0.5)
     with pytest.raises(InputError, match="change of volume"):
