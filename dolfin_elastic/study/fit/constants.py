@@ -22,6 +22,7 @@ from dolfin_elastic.core.units import to_base, to_si
 from dolfin_elastic.model.kinematics import gradient_symbol
 from dolfin_elastic.model.materials.law import Law
 from dolfin_elastic.model.materials.plasticity import HardeningCurve, Plastic
+from dolfin_elastic.model.materials.registry import MATERIALS
 from dolfin_elastic.model.materials.spatial import Range
 from dolfin_elastic.study.fit.curves import TestCurve
 
@@ -133,12 +134,15 @@ def chosen(
     for option, names in (("--fix", fix), ("--bounds", bounds)):
         for name in names:
             if not _named(rows, name):
-                known = list(dict.fromkeys([*(r.name for r in rows), *(_top(r) for r in rows)]))
                 raise CaseError(
                     f"there is no constant '{name}' to fit",
                     where=option,
-                    expected=nearest(name, known),
+                    expected=nearest(name, _known(rows)),
                 )
+    for name in sorted({*marked} - {row.name for row in rows}):
+        raise CaseError(
+            f"there is no constant '{name}' to fit", expected=nearest(name, _known(rows))
+        )
     held = {row.name for name in fix for row in _named(rows, name)}
     limits = {row.name: value for name, value in bounds.items() for row in _named(rows, name)}
     volumetric = any(curve.kind == "volumetric" for curve in curves)
@@ -177,6 +181,10 @@ def _given(law: Law, name: str) -> bool:
 def _top(row: Constant) -> str:
     """Name without index: "mu" of "mu[0]"; "c1" of "parameters.c1"."""
     return row.name.removeprefix("parameters.").partition("[")[0]
+
+
+def _known(rows: Sequence[Constant]) -> list[str]:
+    return list(dict.fromkeys([*(row.name for row in rows), *(_top(row) for row in rows)]))
 
 
 def _named(rows: Sequence[Constant], name: str) -> list[Constant]:
@@ -360,13 +368,14 @@ def guessed(table: Mapping[str, object], curves: Sequence[TestCurve]) -> dict[st
                 where=name,
                 expected='for example "0.1 MPa", of the order that it may have',
             )
-        value = sizes.get(key, 1.0)
+        value = sizes[key] if key in sizes else _middle(table, key, sizes["mu"])
+        exponent = _EXPONENTS[index % len(_EXPONENTS)]
         if name in terms:
             value = first * (last / first) ** ((terms.index(name) + 1) / (len(terms) + 1))
-        elif key == "alpha":
-            value = _EXPONENTS[index % len(_EXPONENTS)]
-        elif name.startswith("mu["):  # with the sign of the exponent
-            value *= np.sign(_EXPONENTS[index % len(_EXPONENTS)]) / (1 + index)
+        elif key == "alpha":  # with the sign of the modulus
+            value = abs(exponent) * _sign(table, "mu", index, exponent)
+        elif name.startswith("mu["):
+            value *= _sign(table, "alpha", index, exponent) / (1 + index)
         elif key == "limit":
             I1 = 3 + max(_excess(curve) for curve in curves)
             value = _BEYOND * ((I1 - 3) if table.get("law") == "gent" else np.sqrt(I1 / 3))
@@ -374,16 +383,39 @@ def guessed(table: Mapping[str, object], curves: Sequence[TestCurve]) -> dict[st
     return result
 
 
+def _sign(table: Mapping[str, object], key: str, index: int, exponent: float) -> float:
+    """Of the value of a list, of Ogden's law; of an exponent where it has none."""
+    values = table.get(key)
+    given = values[index] if isinstance(values, list) and index < len(values) else FIT
+    try:
+        return float(np.sign(to_si(given, "" if key == "alpha" else "Pa")))
+    except UnitError:  # "fit", or what the law refuses
+        return float(np.sign(exponent))
+
+
+def _middle(table: Mapping[str, object], key: str, modulus: float) -> float:
+    """A guess of a constant of which only the unit and the range are known."""
+    law = MATERIALS.get(str(table.get("law")))
+    info = None if law is None else law.model_fields.get(key)
+    if info is None or _unit(info) == "Pa":
+        return modulus if info is not None else 1.0
+    limits = Range.of(info.metadata)
+    middle = (limits.low + limits.high) / 2
+    return middle if np.isfinite(middle) else 1.0
+
+
 def _sizes(curves: Sequence[TestCurve]) -> dict[str, float]:
     """Constants of the usual names in bodies as stiff as those that were measured [SI]."""
     mu = _stiffness(curves)
     most = max(float(np.abs(curve.stress).max()) for curve in curves)
-    stiff = {"E": 3 * mu, "K": 1e3 * mu, "lmbda": 1e3 * mu, "lambda": 1e3 * mu}
+    ratios = {"nu": 0.45, **dict.fromkeys(("nu12", "nu13", "nu23", "ratio", "g"), 0.3)}
+    stiff = dict.fromkeys(("E", "E1", "E2", "E3"), 3 * mu)
+    stiff |= dict.fromkeys(("K", "lmbda", "lambda"), 1e3 * mu)
     soft = dict.fromkeys(("mu", "c10", "c01", "k1", "C"), mu)
     higher = dict.fromkeys(("c20", "c30"), 1e-3 * mu)
     metal = dict.fromkeys(("hardening", "kinematic", "slope"), 0.03 * mu)
     yields = {"yield": most / 2, "yield_stress": most / 2, "saturation": most, "rate": 20.0}
-    return {**stiff, **soft, **higher, **metal, **yields, "nu": 0.45, "ratio": 0.3, "g": 0.3}
+    return {**stiff, **soft, **higher, **metal, **yields, **ratios}
 
 
 def _excess(curve: TestCurve) -> float:

@@ -13,8 +13,11 @@ from helpers.processes import cli
 from mpi4py import MPI
 
 from dolfin_elastic import MooneyRivlin, NeoHookean, fit
+from dolfin_elastic.case.tables import Material
 from dolfin_elastic.core.errors import InputError
-from dolfin_elastic.study.fit.curves import read_curve
+from dolfin_elastic.model.materials.registry import MATERIALS
+from dolfin_elastic.study.fit.constants import constants_of, guessed, table_with
+from dolfin_elastic.study.fit.curves import TestCurve, read_curve
 
 pytestmark = pytest.mark.skipif(
     MPI.COMM_WORLD.size > 1, reason="starts mpirun itself, which cannot be nested"
@@ -121,6 +124,38 @@ def test_what_is_fixed_has_a_value(law, fix):
     with pytest.raises(InputError, match="is fixed but has no value") as caught:
         fit(law, {"uniaxial": CURVE}, fix=[fix])
     assert "--fix" in str(caught.value)
+
+
+def test_first_guesses_are_in_the_range_of_each_law():
+    """Of one constant beside the others of its example, in bodies as stiff as that."""
+    s = np.array([1.001, 1.002, 1.003])
+    for name, law in MATERIALS.items():
+        E = 210e9 if name.startswith("j2") else 1e6
+        curves = [TestCurve("uniaxial", s, E * (s - 1))]
+        given = {"law": name, **law.example}
+        for row in constants_of(Material.read(given).law):
+            if row.name.partition("[")[0].partition(".")[0] in given:
+                table = table_with(Material.read(given).law, {row.name: "fit"})
+                assert Material.read(guessed(table, curves)).law.law == name
+
+
+@pytest.mark.parametrize(("mu", "alpha"), [([2e5, 1e4], [2, 5]), ([-3e5], [-2])])
+def test_moduli_have_the_signs_of_their_exponents(mu, alpha):
+    """Ogden's moduli come back from his stress, Ogden (1984), section 7.2."""
+    s = np.linspace(1.1, 2.0, 9)
+    P = sum(m * (s ** (a - 1) - s ** (-a / 2 - 1)) for m, a in zip(mu, alpha, strict=True))
+    law = {"law": "ogden", "mu": ["fit"] * len(mu), "alpha": alpha, "nu": 0.5}
+    found = fit(law, {"uniaxial": (s, P)}, fix=["alpha"])
+    assert found.law.mu == pytest.approx(mu, rel=1e-9)
+
+
+@pytest.mark.parametrize("key", ["density", "fibre"])
+def test_what_no_curve_tells_is_not_guessed(key):
+    given = {"law": "guccione", **MATERIALS["guccione"].example, key: "fit"}
+    if key == "fibre":
+        given[key] = [1, 0, "fit"]
+    with pytest.raises(InputError, match=f"there is no constant '{key}"):
+        fit(given, {"uniaxial": CURVE})
 
 
 def test_tests_that_a_law_has_no_answer_to():
