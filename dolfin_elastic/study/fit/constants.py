@@ -178,18 +178,19 @@ def _given(law: Law, name: str) -> bool:
     return head.partition("[")[0] in law.model_fields_set
 
 
-def _top(row: Constant) -> str:
-    """Name without index: "mu" of "mu[0]"; "c1" of "parameters.c1"."""
-    return row.name.removeprefix("parameters.").partition("[")[0]
+def _names(row: Constant) -> tuple[str, str]:
+    """Without index, and behind the last dot: "mu" of "mu[0]"; "c1" of "parameters.c1"."""
+    first = row.name.removeprefix("parameters.").partition("[")[0]
+    return first.partition(".")[0], row.name.rpartition(".")[2]
 
 
 def _known(rows: Sequence[Constant]) -> list[str]:
-    return list(dict.fromkeys([*(row.name for row in rows), *(_top(row) for row in rows)]))
+    return list(dict.fromkeys(x for row in rows for x in (row.name, *_names(row))))
 
 
 def _named(rows: Sequence[Constant], name: str) -> list[Constant]:
     exact = [row for row in rows if row.name == name]
-    return exact or [row for row in rows if _top(row) == name]
+    return exact or [row for row in rows if name in _names(row)]
 
 
 def _bounded(row: Constant, value: object) -> Constant:

@@ -16,7 +16,7 @@ from dolfin_elastic import MooneyRivlin, NeoHookean, fit
 from dolfin_elastic.case.tables import Material
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.model.materials.registry import MATERIALS
-from dolfin_elastic.study.fit.constants import constants_of, guessed, table_with
+from dolfin_elastic.study.fit.constants import chosen, constants_of, guessed, table_with
 from dolfin_elastic.study.fit.curves import TestCurve, read_curve
 
 pytestmark = pytest.mark.skipif(
@@ -147,6 +147,17 @@ def test_moduli_have_the_signs_of_their_exponents(mu, alpha):
     law = {"law": "ogden", "mu": ["fit"] * len(mu), "alpha": alpha, "nu": 0.5}
     found = fit(law, {"uniaxial": (s, P)}, fix=["alpha"])
     assert found.law.mu == pytest.approx(mu, rel=1e-9)
+
+
+def test_a_constant_of_a_table_by_its_own_name():
+    law = Material.read({"law": "j2-logarithmic", **MATERIALS["j2-logarithmic"].example}).law
+    for fix, held in {
+        "slope": {"hardening.slope"},
+        "hardening.slope": {"hardening.slope"},
+        "hardening": {"hardening.saturation", "hardening.rate", "hardening.slope"},
+    }.items():
+        rows = chosen(law, [TestCurve("uniaxial", *CURVE)], [fix], {}, [])
+        assert {row.name for row in rows if row.held == "fixed by --fix"} == held
 
 
 @pytest.mark.parametrize("key", ["density", "fibre"])
