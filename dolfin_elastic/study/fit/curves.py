@@ -123,6 +123,12 @@ class TestCurve:
     source: str = ""
     bare: bool = False
 
+    def __post_init__(self) -> None:
+        """Refuses a curve without points."""
+        if not len(self.x):
+            where = self.source or self.kind
+            raise CaseError("there are no points", where=where, expected="what was measured")
+
     @property
     def size(self) -> float:
         """Root mean square of the stresses [Pa]."""

@@ -169,6 +169,19 @@ def test_what_no_curve_tells_is_not_guessed(key):
         fit(given, {"uniaxial": CURVE})
 
 
+def test_curves_without_points():
+    none = np.zeros(0)
+    for kind, data in {
+        "uniaxial": ([], []),
+        "shear": (none, none),
+        "relaxation": (none, none, none),
+    }.items():
+        with pytest.raises(InputError, match=f"{kind}: there are no points"):
+            fit(NeoHookean(mu=1e5, nu=0.5), {kind: data})
+    with pytest.raises(InputError, match="there are no points"):
+        TestCurve("uniaxial", none, none)
+
+
 def test_tests_that_a_law_has_no_answer_to():
     solid = NeoHookean(mu=1e5, nu=0.5)
     with pytest.raises(InputError, match="change of volume"):
