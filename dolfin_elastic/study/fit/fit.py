@@ -101,7 +101,8 @@ class Fit:
         law: With the fitted constants.
         constants: All constants of the law.
         curves: The tests beside it.
-        correlation: Of the fitted constants in their order, shape (k, k).
+        correlation: Of the fitted constants in their order, shape (k, k); nan beside constants that
+            the tests cannot tell apart.
         unknown: What the tests do not tell, and which test would, a sentence each.
         notes: Further remarks.
         ended: The search has come to its end.

@@ -309,7 +309,7 @@ class Certainty:
     Attributes:
         half: Half widths of the intervals of 95 % [units of the constants], shape (k,); infinite
             where nothing tells a constant, nan at a bound.
-        correlation: Shape (k, k).
+        correlation: Shape (k, k); nan beside constants that the data cannot tell apart.
         bound: Constants at a bound, shape (k,).
         unknown: Groups of constants, by index, that the data cannot tell apart, or alone.
         weak: The change of z that the data see least, shape (k,).
@@ -352,6 +352,8 @@ def certainty(model: Model, z: FloatArray) -> Certainty:
         half[inner[~lost]] = (quantile * wide)[~lost]
         safe = np.where(deviation > 0, deviation, 1.0)
         correlation[np.ix_(inner, inner)] = covariance / np.outer(safe, safe)
+        # What is left of a covariance without its lost directions says nothing of their constants.
+        correlation[inner[lost]] = correlation[:, inner[lost]] = np.nan
         np.fill_diagonal(correlation, 1.0)
     return Certainty(half, correlation, bound, tuple(unknown), weak)
 

@@ -87,7 +87,7 @@ def _constants(fit: Fit) -> str:
     lines = [",".join(["constant", "unit", "value", "low", "high", *names])]
     for i, row in enumerate(fit.fitted):
         ends = [f"{x:.10g}" if math.isfinite(x) else "" for x in row.interval]
-        matrix = [f"{x:.6g}" for x in fit.correlation[i]]
+        matrix = [f"{x:.6g}" if math.isfinite(x) else "" for x in fit.correlation[i]]
         lines.append(",".join([row.name, row.unit, f"{row.value:.10g}", *ends, *matrix]))
     return "\n".join(lines) + "\n"
 

@@ -9,6 +9,7 @@ from conftest import ROOT
 from dolfin_elastic import MooneyRivlin, NeoHookean, Yeoh, fit
 from dolfin_elastic.study.fit.curves import TestCurve
 from dolfin_elastic.study.fit.homogeneous import HomogeneousTests
+from dolfin_elastic.study.fit.written import write_fit
 
 pytestmark = pytest.mark.usefixtures("serial_only")
 TRELOAR = ROOT / "demos" / "treloar"
@@ -83,6 +84,17 @@ def test_linear_laws_reach_the_unique_least_squares(kind, name):
         assert found["c01"].bound
     else:
         assert values == pytest.approx(exact, rel=1e-7)
+
+
+def test_constants_that_cannot_be_told_apart_have_no_correlation(tmp_path):
+    """In planar tension I1 = I2; the csv has empty cells, the sentence does not name them."""
+    found = fit(MooneyRivlin(c10=1e5, c01=1e3, nu=0.5), {"planar": (S[NEAR], P[NEAR])})
+    assert np.diag(found.correlation) == pytest.approx([1.0, 1.0], abs=0)
+    assert np.isnan(found.correlation[[0, 1], [1, 0]]).all()
+    assert not any("correlated" in line for line in found.notes)
+    write_fit("rubber", found, tmp_path)
+    rows = (tmp_path / "rubber_constants.csv").read_text().splitlines()[1:]
+    assert [row.split(",")[-2:] for row in rows] == [["1", ""], ["", "1"]]
 
 
 def test_several_curves_with_weights_are_one_linear_least_squares():
