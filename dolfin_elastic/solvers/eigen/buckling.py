@@ -329,13 +329,16 @@ class Perturbation:
     def _solved_by_cycles(self, f: PETSc.Vec, x: PETSc.Vec) -> bool:
         """Whether conjugate gradients converge, and the stiffness is shown to be positive."""
         self.cycle = Cycle(self._problem, self.stiffness)
+        why = "the stiffness is not positive, or hardly"
         try:
-            if self.cycle.is_positive(self.stiffness) and self.cycle.solve(f, x):
-                self._assembler.extend(x.array_w)
-                return True
+            if self.cycle.is_positive(self.stiffness):
+                if self.cycle.solve(f, x):
+                    self._assembler.extend(x.array_w)
+                    return True
+                why = "conjugate gradients do not converge"
         except NotConvergedError:
             pass
-        log.info("the stiffness is not positive, or hardly: factorising instead")
+        log.info("%s: factorising instead", why)
         self.cycle.destroy()
         self.cycle = None
         return False

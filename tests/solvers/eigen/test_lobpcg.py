@@ -298,6 +298,20 @@ def test_load_factors_that_do_not_converge(
         assert "LOBPCG has not converged: factorising instead" in caplog.text
 
 
+def test_conjugate_gradients_that_do_not_converge(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """The stiffness is positive, and is not said to be anything else."""
+    problem = pressed(1)
+    direct = load_factors(problem, "direct", 2)
+    monkeypatch.setattr(lobpcg.Cycle, "solve", lambda self, b, x: False)
+    with caplog.at_level(logging.INFO):
+        assert load_factors(problem, "iterative", 2) == pytest.approx(direct, rel=1e-9)
+    if MPI.COMM_WORLD.rank == 0:
+        assert "conjugate gradients do not converge: factorising instead" in caplog.text
+        assert "not positive" not in caplog.text
+
+
 def test_unstable_without_factors() -> None:
     """A straight column beyond its load is nothing to linearise about: seen without factors."""
     problem = pressed(2, slender=True)
