@@ -32,7 +32,8 @@ class ExplicitAuditor(EquilibriumAuditor):
         mass: Lumped mass at every owned entry [kg].
 
     Attributes:
-        initial: Energy that the motion begins with [J]; None before the first state.
+        initial: Energy that the motion begins with [J]; None before the first state, nan where it
+            goes on from a checkpoint without it.
     """
 
     def __init__(
@@ -79,6 +80,11 @@ class ExplicitAuditor(EquilibriumAuditor):
     def _inside_out(self, low: Extreme, inverted: int | None) -> Violations:
         """The monitor judges it. Not collective."""
         return {}
+
+    def _notes(self) -> tuple[str, ...]:
+        lost = self.initial is not None and np.isnan(self.initial)
+        more = "energy since the start is not known: the checkpoint does not have it"
+        return (*super()._notes(), *([more] if lost else []))
 
     def _when(self, t: float) -> str:
         return f"t = {t:.6g} s"
