@@ -186,3 +186,60 @@ def test_a_law_that_is_not_stable_over_the_data():
     P = 1e6 * (s - s**-2) * np.exp(-0.4 * (s - 1) ** 2)
     found = fit(Yeoh(c10=1e5, c20=-1e3, c30=1.0, nu=0.5), {"uniaxial": (s, P)})
     assert "not stable over the whole uniaxial test" in found.stability[0]
+
+
+def test_true_strain_in_percent_with_true_stress(tmp_path):
+    """Cauchy's stress s P over ln s, the heads say so: the modulus comes back."""
+    s = np.linspace(1.1, 2.0, 10)
+    table = np.column_stack([100 * np.log(s), 0.3 * (s**2 - 1 / s)])
+    head = "true strain [%],true stress [MPa]"
+    np.savetxt(tmp_path / "a.csv", table, delimiter=",", header=head, comments="")
+    found = fit(NeoHookean(mu=1e5, nu=0.5), {"uniaxial": tmp_path / "a.csv"})
+    assert found["mu"].value == pytest.approx(0.3e6, rel=1e-9)
+    assert found.curves[0].relative < 1e-9
+
+
+def test_a_constant_stays_within_its_bounds():
+    """At the nearest end if the least squares lie beyond it; the others are best for that."""
+    s = np.linspace(1.1, 2.5, 12)
+    first, second = first_and_second(s, -0.5)
+    P, law = 0.2e6 * first + 0.05e6 * second, MooneyRivlin(c10=1e5, c01=1e4, nu=0.5)
+    wide = fit(law, {"uniaxial": (s, P)}, bounds={"c10": "0.1 MPa:1 MPa"})
+    assert wide["c10"].value == pytest.approx(0.2e6, rel=1e-7)
+    assert not wide["c10"].bound
+    tight = fit(law, {"uniaxial": (s, P)}, bounds={"c10": (None, 0.15e6)})
+    assert tight["c10"].value == pytest.approx(0.15e6, rel=1e-9)
+    assert tight["c10"].bound
+    rest = second @ (P - 0.15e6 * first) / (second @ second)
+    assert tight["c01"].value == pytest.approx(rest, rel=1e-7)
+
+
+def test_simple_shear():
+    """P = mu g of neo-Hookean bodies and 2 (c10 + c01) g of Mooney-Rivlin: Ogden (1984), 4.4."""
+    g = np.linspace(-0.5, 1.0, 8)
+    data = {"shear": (g, 0.4e6 * g)}
+    assert fit(NeoHookean(mu=1e5, nu=0.5), data)["mu"].value == pytest.approx(0.4e6, rel=1e-9)
+    two = fit(MooneyRivlin(c10=1e5, c01=1e4, nu=0.5), data)
+    assert two["c10"].value + two["c01"].value == pytest.approx(0.2e6, rel=1e-9)
+    assert not np.isfinite([two["c10"].half, two["c01"].half]).any()
+
+
+def test_where_stability_ends():
+    """Yeoh's law with c20 < 0 fixed: at the largest force, to a point of those looked at.
+
+    P = 2 (s - s^-2)(c10 + 2 c20 (I1 - 3)); shear bands need more: W' + 2 W'' (s - s^-1/2)^2 < 0.
+    """
+    c10, c20, s = 2e5, -2e4, np.linspace(1.05, 2.6, 20)
+
+    def force(x: np.ndarray) -> np.ndarray:
+        return 2 * (x - x**-2) * (c10 + 2 * c20 * (x**2 + 2 / x - 3))
+
+    law = Yeoh(c10=1e5, c20=c20, c30=0.0, nu=0.5)
+    found = fit(law, {"uniaxial": (s, force(s))}, fix=["c20", "c30"])
+    assert found["c10"].value == pytest.approx(c10, rel=1e-9)
+    (line,) = found.stability
+    assert "not stable over the whole uniaxial test" in line
+    x = np.linspace(1.0, 2.6, 4000)
+    top = x[np.argmax(force(x))]
+    assert 1.5 < top < 2.4
+    assert float(line.rpartition(" ")[2]) == pytest.approx(top, abs=1.6 / 15)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from dolfin_elastic import J2, NeoHookean, fit
+from dolfin_elastic import J2, MooneyRivlin, NeoHookean, fit
 from dolfin_elastic.model.point.time_curves import time_curves
 from dolfin_elastic.study.fit.curves import TestCurve
 from dolfin_elastic.study.fit.homogeneous import HomogeneousTests
@@ -31,6 +31,16 @@ def test_a_prony_series_comes_back_from_its_relaxation():
     terms = sorted((term.time, term.ratio) for term in found.law.viscous)
     assert terms[0] == pytest.approx((0.5, 0.4), rel=1e-5)
     assert terms[1] == pytest.approx((20.0, 0.25), rel=1e-5)
+
+
+def test_relaxation_of_an_incompressible_law():
+    """Mooney-Rivlin's stress at the stretch times 1 + r exp(-t/tau), the constants given."""
+    s, r, tau = 1.4, 0.6, 3.0
+    slow = 2 * (s - s**-2) * (0.3e6 + 0.1e6 / s)
+    law = MooneyRivlin(c10=0.3e6, c01=0.1e6, nu=0.5, viscous=[{"ratio": r, "time": tau}])
+    curve = TestCurve("relaxation", np.full_like(T, s), np.ones_like(T), T)
+    stress = HomogeneousTests(law, []).predict(curve, NONE)[0]
+    assert stress == pytest.approx(slow * (1 + r * np.exp(-T / tau)), rel=1e-9)
 
 
 @pytest.mark.parametrize("keys", [{"nu": 0.4}, {"nu": 0.3, "viscous_on": "whole"}])
