@@ -330,6 +330,8 @@ def _texts(value: object, name: str = "") -> Iterator[tuple[str, str]]:
 
 _NAMES = ("law", "on", "energy", "source", "material")
 """Texts of a material's table that stand for no number."""
+
+
 def marked_rows(table: Mapping[str, object]) -> list[str]:
     """The same, by the names that `constants_of` has."""
     names = marked_constants(table)
