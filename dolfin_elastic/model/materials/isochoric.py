@@ -158,7 +158,7 @@ class Isochoric(Volumetric):
             raise InputError(
                 "K and nu given together" if given else "neither K nor nu is given",
                 expected="one of them beside the law's own constants: nu = 0.5 is incompressible, "
-                "which serves for rubber and soft tissue",
+                "as usual for rubber and soft tissue",
             )
         if self.spatial_constants():
             return

@@ -306,14 +306,14 @@ def _doubts(curves: Sequence[FittedCurve], law: Law, model: Model, z: FloatArray
             )
     if bare := [c.measured.source for c in curves if c.measured.bare]:
         yield (
-            f"the stresses of {listed(bare)} have no unit and were taken in Pa: write it in the "
+            f"the stresses of {listed(bare)} have no unit and were read in Pa: write it in the "
             'heading, "stress [MPa]", or give --unit'
         )
         E = _modulus(law, model, z)
         if abs(E) < _SOFT:
             yield (
-                f"warning: Young's modulus at small strains is {quantity(E, 'Pa')}, softer than "
-                "jelly: was --unit forgotten?"
+                f"warning: Young's modulus at small strains is {quantity(E, 'Pa')}, below "
+                "1 kPa: was --unit forgotten?"
             )
 
 

@@ -250,7 +250,7 @@ def test_what_to_doubt_of_an_answer(tmp_path):
     file.write_text(GOOD)
     data, law = {"uniaxial": file}, NeoHookean(mu=1.0, nu=0.5)
     bare, soft = fit(law, data).notes
-    assert f"the stresses of {file} have no unit and were taken in Pa" in bare
+    assert f"the stresses of {file} have no unit and were read in Pa" in bare
     assert "was --unit forgotten?" in soft
     energy = "mu/2*(I1 - 3) - mu*ln(J) + lmbda/2*ln(J)^2"
     own = {"energy": energy, "parameters": {"mu": 1.0, "lmbda": 1.0}}
