@@ -26,8 +26,9 @@ BROUGHT = {
 }
 """Modules that come with another package and are of its version."""
 
-OPTIONAL = {"lz4", "ipctk", "manifold3d", "nibabel", "pydicom", "pytetwild", "pxr"}
-"""Modules whose absence has a message: Debian has lz4, nibabel and pydicom, PyPI the others."""
+OPTIONAL = {"lz4", "ipctk", "manifold3d", "nibabel", "pandas", "pydicom", "pytetwild", "pxr"}
+"""Modules whose absence has a message: Debian has lz4, nibabel and pydicom, PyPI the others.
+Without pandas the table of a sweep is a dictionary of columns."""
 
 UNDER_OTHER_NAMES = {"python3-dev", "python3-h5py-mpi", "python3-imageio-ffmpeg"}
 """Packages that no module imports by name: compiled forms, h5py and imageio need them."""

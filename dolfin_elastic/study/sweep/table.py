@@ -158,7 +158,7 @@ class Results:
             for (name, text), of in runs.items()
         ]
 
-    def frame(self) -> object:
+    def frame(self) -> Mapping[str, object]:
         """The table as a pandas DataFrame, where pandas is there; else `columns`."""
         try:
             from pandas import DataFrame  # type: ignore[import-untyped]

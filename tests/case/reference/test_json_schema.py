@@ -16,7 +16,11 @@ from dolfin_elastic.model.loads import LOADS
 from dolfin_elastic.model.materials.registry import MATERIALS
 from dolfin_elastic.model.supports.springs import SUPPORTS
 
-DEMOS = sorted((ROOT / "demos").glob("*/*.toml"))
+DEMOS = sorted(
+    path
+    for path in (ROOT / "demos").glob("*/*.toml")
+    if path.name != "law.toml"  # of `fit`
+)
 PAGES = [
     path
     for path in (ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md")))

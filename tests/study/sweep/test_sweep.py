@@ -59,6 +59,7 @@ def test_numbers_are_those_of_the_closed_form(folder: Path) -> None:
     found = sweep(bar(folder), values, output=folder / "out")
     exact = [p / E for E in (1e6, 2e6) for p in (1e3, 3e3)]
     assert found.columns()["end_x"] == pytest.approx(exact, rel=1e-10)
+    assert list(found.frame()["end_x"]) == found.columns()["end_x"]  # with pandas or without
     rows = table(folder / "out")
     assert [float(row["end_x"]) for row in rows] == pytest.approx(exact, rel=1e-10)
     assert [row["materials.steel.E"] for row in rows] == ["1 MPa"] * 2 + ["2 MPa"] * 2
