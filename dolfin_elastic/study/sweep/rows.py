@@ -27,6 +27,8 @@ from dolfin_elastic.study.sweep.settings import Values
 Status = Literal["planned", "solved", "audit", "failed"]
 RECORD = "row.json"
 _MOST = 1 << 20
+_LARGEST = 1 << 40
+"""Bytes of a file."""
 _HEAD = 1 << 22
 """Bytes of a file in which names of others are looked for."""
 _NAMING = (".xdmf", ".geo", ".inp", ".bdf", ".dat", ".nas", ".toml")
@@ -82,7 +84,7 @@ def digest_of(
     files = {name: contents.of(case.folder / name) for name in sorted(set(_texts(case.written)))}
     known = {name: content for name, content in files.items() if content}
     whole = [__version__, tables, known, list(told), dict(petsc)]
-    return hashlib.sha256(json.dumps(whole, sort_keys=True).encode()).hexdigest()[:32]
+    return hashlib.sha256(json.dumps(whole, sort_keys=True, default=repr).encode()).hexdigest()[:32]
 
 
 def _texts(value: object) -> Iterator[str]:
@@ -119,7 +121,8 @@ class Contents:
         return self._known[path]
 
     def _file(self, path: Path) -> str:
-        if not path.is_file():
+        # A text may name a file of the kernel, which has no size, or one without an end.
+        if not path.is_file() or not 0 < path.stat().st_size < _LARGEST:
             return ""
         with path.open("rb") as file:
             own = hashlib.file_digest(file, "sha256").hexdigest()
@@ -189,7 +192,7 @@ def write(folder: Path, row: Row) -> None:
     table = asdict(row)
     for name in ("numbers", "errors"):
         table[name] = {k: v if math.isfinite(v) else None for k, v in table[name].items()}
-    replace_text(folder / row.folder / RECORD, json.dumps(table, indent=1) + "\n")
+    replace_text(folder / row.folder / RECORD, json.dumps(table, indent=1, default=repr) + "\n")
 
 
 def _records(folder: Path) -> Iterator[Row]:
