@@ -12,7 +12,6 @@ import numpy as np
 from dolfin_elastic.case.case import locate_errors, read_materials
 from dolfin_elastic.case.tables import Material
 from dolfin_elastic.core.errors import CaseError, InputError, nearest
-from dolfin_elastic.core.files.regular import fresh
 from dolfin_elastic.core.schema import known_keys
 from dolfin_elastic.core.startup.elsewhere import plain_matplotlib
 from dolfin_elastic.core.types import FloatArray
@@ -26,7 +25,7 @@ from dolfin_elastic.model.point.homogeneous_tests import ResponseCurve
 from dolfin_elastic.model.point.report import MaterialReport
 from dolfin_elastic.model.point.time_curves import TimeCurves
 from dolfin_elastic.model.point.viscous_curves import ViscousCurves
-from dolfin_elastic.results.files import make_folder, replace_text, writing
+from dolfin_elastic.results.files import drafted, make_folder, replace_text
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -401,10 +400,8 @@ def _draw(name: str, report: MaterialReport, path: Path) -> None:
 
 
 def _save(figure: Figure, path: Path) -> None:
-    draft = path.with_name(f".{path.stem}.part{path.suffix}")
-    with writing(path):
-        figure.savefig(fresh(draft), dpi=130)
-        draft.replace(path)
+    with drafted(path) as draft:
+        figure.savefig(draft, dpi=130, format=path.suffix[1:])
 
 
 def _panel(axis: Axes, curve: ResponseCurve) -> None:

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import errno
+import math
 import os
 import shutil
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import cast
 
+import numpy as np
 from mpi4py import MPI
 
 from dolfin_elastic.core.errors import OutputError, RestartError
@@ -117,6 +119,17 @@ def why_not_made(folder: Path) -> str:
     except OSError as error:
         return _cause(error)
     return ""
+
+
+def json_data(value: object) -> object:
+    """A value in JSON's types; numbers that are not finite become null, for JSON has none."""
+    if isinstance(value, Mapping):
+        return {str(key): json_data(item) for key, item in value.items()}
+    if isinstance(value, list | tuple | np.ndarray):
+        return [json_data(item) for item in value]
+    if isinstance(value, np.generic):
+        return json_data(value.item())
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 @contextmanager

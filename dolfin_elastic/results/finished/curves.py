@@ -11,11 +11,10 @@ from pathlib import Path
 import numpy as np
 
 from dolfin_elastic.core.errors import InputError, nearest
-from dolfin_elastic.core.files.regular import fresh
 from dolfin_elastic.core.startup.elsewhere import elsewhere, plain_matplotlib
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.results.fields import FIELDS
-from dolfin_elastic.results.files import replace_text, writing
+from dolfin_elastic.results.files import drafted, make_folder, replace_text
 from dolfin_elastic.results.finished.draw import check_field, shown
 from dolfin_elastic.results.finished.run import FinishedRun
 from dolfin_elastic.results.scene.colour_bar import prefixed
@@ -215,7 +214,7 @@ def draw_curves(curves: Curves, file: Path) -> None:
             color=f"C{i}",
             marker="o" if few else None,
             markersize=4,
-            label=_plain(label_of(curve.name)),
+            label=literal(label_of(curve.name)),
         )
         same = [c.name for c in curves.curves if c.unit == curve.unit]
         place.set_ylabel(_label(same[0] if len(same) == 1 else "", prefix))
@@ -223,12 +222,10 @@ def draw_curves(curves: Curves, file: Path) -> None:
         # Outside, where no curve is: of two pairs of axes matplotlib avoids the lines of one only.
         figure.legend(handles=handles, loc="outside lower center", ncols=min(len(handles), 3))
     axes.grid(alpha=0.3)
-    axes.set_title(_plain(curves.title), fontsize=11)
-    draft = file.with_name(f".{file.stem}.part{file.suffix}")
-    with writing(file):
-        file.parent.mkdir(parents=True, exist_ok=True)
-        figure.savefig(fresh(draft))
-        draft.replace(file)
+    axes.set_title(literal(curves.title), fontsize=11)
+    make_folder(file.parent)
+    with drafted(file) as draft:
+        figure.savefig(draft, format=file.suffix[1:])
 
 
 def _scaled(curves: Sequence[Axis]) -> tuple[list[FloatArray], float, str]:
@@ -239,11 +236,11 @@ def _scaled(curves: Sequence[Axis]) -> tuple[list[FloatArray], float, str]:
 
 
 def _label(name: str, unit: str) -> str:
-    text = _plain(label_of(name))
+    text = literal(label_of(name))
     powers = unit.replace("^2", "\u00b2").replace("^3", "\u00b3")
     return f"{text} [{powers}]".strip() if unit else text
 
 
-def _plain(text: str) -> str:
+def literal(text: str) -> str:
     """A text in which matplotlib finds no formula."""
     return text.replace("$", r"\$")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import logging
-import math
 import re
 import time
 from collections.abc import Iterable, Mapping
@@ -26,7 +25,7 @@ from dolfin_elastic.mesh.body import span
 from dolfin_elastic.problem.material_regions import locking_notes, shear_modulus
 from dolfin_elastic.problem.state import Audit, Mode, Stability, State, plain
 from dolfin_elastic.results.derived.mode_shape import shape_in_words
-from dolfin_elastic.results.files import make_folder, replace_text
+from dolfin_elastic.results.files import json_data, make_folder, replace_text
 from dolfin_elastic.results.quantity import Extremes, Measured
 from dolfin_elastic.results.recovery.error import ErrorEstimate, ErrorEstimator
 from dolfin_elastic.results.recovery.locking import unseen_locking
@@ -201,8 +200,8 @@ class SummaryWriter:
             "started": self._started,
             "newton": self._newton,
             "krylov": self._krylov,
-            "last": _plain(self._last),
-            "convergence": _plain(self._convergence),
+            "last": json_data(self._last),
+            "convergence": json_data(self._convergence),
             "largest": self._largest,
             "timings": self._timings(),
             "restarts": self._restarts,
@@ -489,23 +488,12 @@ def versions() -> dict[str, str]:
 
 def _text(content: object) -> str:
     """JSON for people, too: a list of numbers stands in one line."""
-    text = json.dumps(_plain(content), indent=2, ensure_ascii=False, allow_nan=False)
+    text = json.dumps(json_data(content), indent=2, ensure_ascii=False, allow_nan=False)
     return _NUMBERS_ONLY.sub(lambda value: f"[{' '.join(value[0][1:-1].split())}]", text) + "\n"
 
 
 # A text holds no line break in JSON, so that nothing in one can look like this.
 _NUMBERS_ONLY = re.compile(r"\[\n\s+[-\d][-+.\deE]*(?:,\n\s+[-\d][-+.\deE]*)*\n\s+\]")
-
-
-def _plain(value: object) -> object:
-    """A value in JSON's types; numbers that are not finite become null, for JSON has none."""
-    if isinstance(value, Mapping):
-        return {str(key): _plain(item) for key, item in value.items()}
-    if isinstance(value, list | tuple | np.ndarray):
-        return [_plain(item) for item in value]
-    if isinstance(value, np.generic):
-        return _plain(value.item())
-    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 # --- the worst audit of a run ---

@@ -10,9 +10,9 @@ from typing import Literal
 
 import numpy as np
 
-from dolfin_elastic.core.files.regular import fresh
 from dolfin_elastic.core.startup.elsewhere import plain_matplotlib
-from dolfin_elastic.results.files import make_folder, replace_text, writing
+from dolfin_elastic.results.files import drafted, make_folder, replace_text
+from dolfin_elastic.results.finished.curves import literal
 from dolfin_elastic.study.wanted import Wanted
 
 Verdict = Literal["running", "reached", "singular", "audit", "refinements", "unknowns", "stopped"]
@@ -149,22 +149,15 @@ def _draw(progress: Progress, path: Path) -> None:
         left.axhline(limit, ls="--", color=_LIMIT, label=f"extrapolated: {limit:.4g}")
         band = progress.tolerance * abs(limit)
         left.axhspan(limit - band, limit + band, color=_LIMIT, alpha=0.12, lw=0)
-    left.set(xscale="log", xlabel="unknowns", title=_plain(progress.head))
+    left.set(xscale="log", xlabel="unknowns", title=literal(progress.head))
     errors = [100 * level.error for level in progress.levels]
     energy = [100 * level.energy_error for level in progress.levels]
-    right.loglog(N, errors, "o-", color=_INK, label=_plain(str(progress.quantity)))
+    right.loglog(N, errors, "o-", color=_INK, label=literal(str(progress.quantity)))
     right.loglog(N, energy, "s:", color=_ENERGY, label="in the energy norm")
     right.axhline(100 * progress.tolerance, ls="--", color=_LIMIT, label="wanted")
     right.set(xlabel="unknowns", title="estimated error [%]")
     for axis in (left, right):
         axis.grid(color="#dde1e5")
         axis.legend(fontsize=8)
-    draft = path.with_name(f".{path.stem}.part{path.suffix}")
-    with writing(path):
-        figure.savefig(fresh(draft), dpi=130)
-        draft.replace(path)
-
-
-def _plain(text: str) -> str:
-    """A text in which matplotlib finds no formula."""
-    return text.replace("$", r"\$")
+    with drafted(path) as draft:
+        figure.savefig(draft, dpi=130, format=path.suffix[1:])

@@ -9,11 +9,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from dolfin_elastic.case.toml import key_text, value_text
-from dolfin_elastic.core.files.regular import fresh
 from dolfin_elastic.core.si_text import percent
 from dolfin_elastic.core.startup.elsewhere import plain_matplotlib
 from dolfin_elastic.core.units import stress_unit
-from dolfin_elastic.results.files import make_folder, replace_text, writing
+from dolfin_elastic.results.files import drafted, make_folder, replace_text
 from dolfin_elastic.study.fit.constants import table_with
 from dolfin_elastic.study.fit.curves import KINDS
 from dolfin_elastic.study.fit.fit import Fit, FittedConstant, FittedCurve
@@ -120,10 +119,8 @@ def _draw(name: str, fit: Fit, path: Path) -> None:
     for axis in axes[len(fit.curves) :]:
         axis.axis("off")
     figure.suptitle(name)
-    draft = path.with_name(f".{path.stem}.part{path.suffix}")
-    with writing(path):
-        figure.savefig(fresh(draft), dpi=130)
-        draft.replace(path)
+    with drafted(path) as draft:
+        figure.savefig(draft, dpi=130, format=path.suffix[1:])
 
 
 def _panel(axis: Axes, curve: FittedCurve) -> None:

@@ -8,6 +8,7 @@ import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
+from functools import cached_property
 from html import escape
 from os import PathLike
 from pathlib import Path
@@ -17,12 +18,12 @@ import numpy as np
 
 from dolfin_elastic.case.toml import key_parts
 from dolfin_elastic.core.errors import SolveError
-from dolfin_elastic.core.files.regular import fresh
 from dolfin_elastic.core.si_text import percent, quantity, scaled_unit
 from dolfin_elastic.core.startup.elsewhere import plain_matplotlib
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.core.units import number_and_unit
-from dolfin_elastic.results.files import replace_text, writing
+from dolfin_elastic.results.files import drafted, json_data, replace_text
+from dolfin_elastic.results.finished.curves import literal
 from dolfin_elastic.study.sweep.numbers import unit_of
 from dolfin_elastic.study.sweep.rows import Row
 from dolfin_elastic.study.sweep.settings import Design, short_names, worded
@@ -58,12 +59,12 @@ class Results:
     design: Design
     rows: tuple[Row, ...]
 
-    @property
+    @cached_property
     def names(self) -> list[str]:
         """Results that one row has at least."""
         return list(dict.fromkeys(name for row in self.rows for name in row.numbers))
 
-    @property
+    @cached_property
     def statistics(self) -> dict[str, Statistics]:
         """Of samples, see `statistics`."""
         return statistics(self.design, self.rows)
@@ -113,9 +114,8 @@ class Results:
             most: Results at most.
             errors: Beside a number the estimated error of the mesh.
         """
-        keys, names = [one.key for one in self.design.settings], self.names
-        if most is not None:
-            names = self.large[:most]
+        keys = [one.key for one in self.design.settings]
+        names = self.names if most is None else self.large[:most]
         result = {"run": [str(row.number) for row in self.rows]}
         for key, name in short_names(keys).items():
             x, unit, words = _abscissae([row.values.get(key) for row in self.rows])
@@ -136,7 +136,7 @@ class Results:
         result["status"] = [row.status for row in self.rows]
         return {**result, "folder": [row.folder for row in self.rows]}
 
-    @property
+    @cached_property
     def large(self) -> list[str]:
         """Results that are not zero, nor far smaller than others of their unit."""
         names = self.names
@@ -225,7 +225,7 @@ def write_table(results: Results, *, plot: bool) -> None:
     """
     folder = results.folder
     replace_text(folder / TABLE, _csv(results))
-    text = json.dumps(_summary(results), indent=2, allow_nan=False, default=str)
+    text = json.dumps(json_data(_summary(results)), indent=2, allow_nan=False, default=str)
     replace_text(folder / SUMMARY, text + "\n")
     if plot and any(row.numbers for row in results.rows):
         draw(results, folder / PLOT)
@@ -242,30 +242,23 @@ def _csv(results: Results) -> str:
 
 
 def _cell(value: object) -> object:
-    if isinstance(value, bool) or not isinstance(value, float):
-        lines = value.splitlines() if isinstance(value, str) else []
-        return "; ".join(line.strip() for line in lines) if isinstance(value, str) else value
-    return f"{value:.12g}" if math.isfinite(value) else ""
+    if isinstance(value, str):
+        return "; ".join(line.strip() for line in value.splitlines())
+    if isinstance(value, float):
+        return f"{value:.12g}" if math.isfinite(value) else ""
+    return value
 
 
 def _summary(results: Results) -> dict[str, object]:
     columns = results.columns()
     rows = [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
-    of = {name: asdict(one) for name, one in results.statistics.items()}
     return {
         "case": results.case,
         "settings": [one.key for one in results.design.settings],
         "units": {name: unit_of(name) for name in results.names},
-        "rows": [_finite(row) for row in rows],
-        "statistics": {name: _finite(table) for name, table in of.items()},
+        "rows": rows,
+        "statistics": {name: asdict(one) for name, one in results.statistics.items()},
     }
-
-
-def _finite(value: object) -> object:
-    """A value in which None stands for what is no finite number, in tables as well."""
-    if isinstance(value, Mapping):
-        return {key: _finite(inner) for key, inner in value.items()}
-    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 # --- the plot ---
@@ -292,10 +285,8 @@ def draw(results: Results, path: Path) -> None:
         _panel(panel, results, *pair)
     for panel in panels[len(pairs) :]:
         panel.remove()
-    draft = path.with_name(f".{path.stem}.part{path.suffix}")
-    with writing(path):
-        figure.savefig(fresh(draft), dpi=110)
-        draft.replace(path)
+    with drafted(path) as draft:
+        figure.savefig(draft, dpi=110, format=path.suffix[1:])
 
 
 def _over(results: Results) -> list[str]:
@@ -329,12 +320,12 @@ def _panel(panel: Axes, results: Results, name: str, key: str) -> None:
             panel.errorbar(x[order], y, bars, fmt="none", capsize=2, ecolor=ink)
         panel.plot(x[order], y, marker="o", ms=4, label=shown, ls=line, color=ink)
     if words:
-        panel.set_xticks(range(len(words)), [_plain(word) for word in words])
+        panel.set_xticks(range(len(words)), [literal(word) for word in words])
         panel.margins(x=0.15)
     else:
         panel.locator_params(axis="x", nbins=5)
-    panel.set_xlabel(_plain(f"{key} [{unit}]" if unit else key))
-    panel.set_ylabel(_plain(f"{name} [{own}]" if own else name))
+    panel.set_xlabel(literal(f"{key} [{unit}]" if unit else key))
+    panel.set_ylabel(literal(f"{name} [{own}]" if own else name))
     panel.grid(color="#dde1e5")
     if panel.get_legend_handles_labels()[0]:
         panel.legend(fontsize=7)
@@ -348,8 +339,3 @@ def _abscissae(values: Sequence[object]) -> tuple[FloatArray, str, list[str]]:
         return np.array([one[0] for one in read if one is not None]), units.pop(), []
     words = list(dict.fromkeys(str(value) for value in values))
     return np.array([float(words.index(str(value))) for value in values]), "", words
-
-
-def _plain(text: str) -> str:
-    """A text in which matplotlib finds no formula."""
-    return text.replace("$", r"\$")
