@@ -94,7 +94,7 @@ def sweep(
     start(at_start)
     from dolfin_elastic.case.check.rest import read_case
     from dolfin_elastic.core.parallel import on_root
-    from dolfin_elastic.study.sweep.settings import read_setting
+    from dolfin_elastic.study.sweep.settings import design, read_setting, with_means
     from dolfin_elastic.study.sweep.sweep import default_folder, planned
 
     comm = begin(quiet=True)
@@ -107,18 +107,9 @@ def sweep(
             where="--jobs",
             expected="--jobs without mpirun, or mpirun without --jobs",
         )
-    sweeping = planned(
-        read,
-        [read_setting(*_split(text)) for text in settings],
-        output=folder,
-        tell=tell or (),
-        together=together,
-        samples=samples,
-        sobol=sobol,
-        seed=seed,
-        petsc=options,
-        comm=comm,
-    )
+    means = with_means(read, [read_setting(*_split(text)) for text in settings])
+    plan = design(means, together=together, samples=samples, sobol=sobol, seed=seed)
+    sweeping = planned(read, plan, output=folder, tell=tell or (), petsc=options, comm=comm)
     visible = comm.rank == 0 and not quiet
     if slurm is not None:
         on_root(comm, partial(_write_slurm, slurm, len(sweeping.rows)))
@@ -185,9 +176,8 @@ def _one_by_one(sweeping: Sweep, only: int | None, *, visible: bool, alone: bool
         for row in rows:
             if visible:
                 print(_line(sweeping, row), flush=True)
-            results = None if alone else sweeping.results()
-            if results is not None:
-                on_root(comm, partial(write_table, results, plot=False))
+            if not alone:
+                on_root(comm, partial(write_table, sweeping.results(), plot=False))
 
 
 def _line(sweeping: Sweep, row: Row) -> str:

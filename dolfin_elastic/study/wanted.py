@@ -18,6 +18,9 @@ from dolfin_elastic.results.derived.reductions import ending
 from dolfin_elastic.results.fields import FIELDS
 from dolfin_elastic.results.finished.run import column_unit
 from dolfin_elastic.results.quantity import EXTREMES, Extreme, Measured, Measurement, Quantity
+from dolfin_elastic.results.recovery.error import ErrorEstimate
+from dolfin_elastic.results.recovery.peaks import Peak, largest
+from dolfin_elastic.results.recovery.singular import singular_places
 from dolfin_elastic.results.writers.history import row
 
 _TEXT = re.compile(r"\s*(?:([a-z]+(?::[\d.]+)?)\s+)?(\w+)(?:\s+(?:on|of|at)\s+(\S.*?))?\s*")
@@ -26,6 +29,8 @@ _EXAMPLES = (
     '"reaction of left" or "strain_energy"'
 )
 _COMPONENTS = re.compile(r"(displacement|reaction)(_[xyz])?")
+SAME = {"energy": "strain_energy"}
+"""Word for a column to the column's name."""
 _SMALLEST = ("safety_factor",)
 _PEAK = 0.8
 """Share of the largest value from which on a node belongs to the peak."""
@@ -187,7 +192,17 @@ class WantedNumber:
         peak = extreme.members[values >= (_PEAK * top if top > 0 else top / _PEAK)]
         return result, self._touching(peak) if extreme.centre == "node" else peak
 
-    def chosen(self) -> BoolArray:
+    def peak(self, measured: Measured, estimate: ErrorEstimate) -> Peak | None:
+        """What is known of a largest stress; None of other results. Collective.
+
+        Args:
+            measured: From calling it, in the state of the estimate.
+        """
+        if not (self._wanted.is_stress and measured.place):
+            return None
+        return largest(self._problem, estimate, self._chosen(), singular_places(self._problem))
+
+    def _chosen(self) -> BoolArray:
         """Whether an owned node is one of those among which the extreme of a field is sought."""
         assert isinstance(self._measured, Extreme)
         mask = np.zeros(self._problem.V.dofmap.index_map.size_local, dtype=bool)
@@ -197,7 +212,7 @@ class WantedNumber:
     def _number(self, state: State) -> float:
         """A number that is there already: a column of the history, or the length of some."""
         q, columns = self._wanted, row(state)
-        known = {"energy": "strain_energy"}.get(q.name, q.name)
+        known = SAME.get(q.name, q.name)
         if not q.part and isinstance(column := columns.get(known), int | float):
             return float(column)
         kind = _COMPONENTS.fullmatch(q.name)

@@ -35,8 +35,7 @@ from dolfin_elastic.problem.state import RestartState, State
 from dolfin_elastic.results.checkpoint.lock import FolderLease
 from dolfin_elastic.results.quantity import Measured
 from dolfin_elastic.results.recovery.error import ErrorEstimate, ErrorEstimator
-from dolfin_elastic.results.recovery.peaks import Peak, find_peaks, largest, percent
-from dolfin_elastic.results.recovery.singular import singular_places
+from dolfin_elastic.results.recovery.peaks import Peak, find_peaks, percent
 from dolfin_elastic.results.writers.summary import SummaryWriter, mark_stopped
 from dolfin_elastic.solvers.statics.load_stepping import InitialGuess
 from dolfin_elastic.solvers.statics.statics import Statics
@@ -295,10 +294,7 @@ class _Convergence:
                 estimate = ErrorEstimator(problem)(state)
                 number = WantedNumber(self.goal.quantity, problem)
                 measured, cells = number(state)
-                peak = None
-                if self.goal.quantity.is_stress and measured.place:
-                    places = singular_places(problem)
-                    peak = largest(problem, estimate, number.chosen(), places)
+                peak = number.peak(measured, estimate)
         return _Solved(body, problem, state, saved, measured, cells, estimate, peak, newton)
 
     # --- what is known ---

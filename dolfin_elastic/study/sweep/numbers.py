@@ -84,9 +84,8 @@ def _extremes(run: FinishedRun) -> tuple[dict[str, float], dict[str, float], dic
         if why := doubt(peak):
             remarks[name] = f"its error is not known: {why}"
         elif apart := peak.get("apart"):
-            remarks[name] = f"not at {apart}, where it is singular: the largest elsewhere"
-            if name == "safety_factor":
-                remarks[name] = f"not at {apart}, where it is singular: the smallest elsewhere"
+            which = "smallest" if name == "safety_factor" else "largest"
+            remarks[name] = f"not at {apart}, where it is singular: the {which} elsewhere"
     return numbers, errors, remarks
 
 

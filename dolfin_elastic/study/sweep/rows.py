@@ -14,14 +14,14 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Literal, cast
+from typing import Literal, cast, get_args
 
 from dolfin_elastic.case.case import Case
 from dolfin_elastic.core import __version__
 from dolfin_elastic.core.files.links import refuse_links
 from dolfin_elastic.core.files.regular import irregular, read_regular
 from dolfin_elastic.core.petsc_options import PetscValue
-from dolfin_elastic.results.files import make_folder, replace_text
+from dolfin_elastic.results.files import json_data, make_folder, replace_text
 from dolfin_elastic.study.sweep.settings import Values
 
 Status = Literal["planned", "solved", "audit", "failed"]
@@ -139,19 +139,23 @@ class Contents:
         return " ".join(self.of(file) for file in sorted(path.rglob("*.*")) if file.is_file())
 
 
-def first_unknown(folder: Path, digests: Sequence[str]) -> int:
-    """Number, from 0, of the first run that has not ended; that of all where there is none."""
-    ended = {row.digest for row in _records(folder) if row.ended}
-    return next((i for i, digest in enumerate(digests) if digest not in ended), len(digests))
+def known(folder: Path) -> dict[str, Row]:
+    """Digest to row of all records in a folder. Not collective."""
+    return {
+        row.digest: row
+        for path in sorted(folder.glob(f"*/{RECORD}"))
+        if not irregular(path.parent) and (row := _record(path)) is not None
+    }
 
 
-def plan(folder: Path, rows: Sequence[tuple[Values, str]]) -> list[Row]:
+def plan(folder: Path, rows: Sequence[tuple[Values, str]], known: Mapping[str, Row]) -> list[Row]:
     """The rows of a sweep, those that a folder has as they are; makes folders for the others.
 
     Not collective.
 
     Args:
         rows: Values and digest of each.
+        known: From `known`.
 
     Raises:
         OutputError: A folder or record cannot be written.
@@ -159,15 +163,15 @@ def plan(folder: Path, rows: Sequence[tuple[Values, str]]) -> list[Row]:
     """
     refuse_links(folder)
     make_folder(folder)
-    known = {row.digest: row for row in _records(folder)}
+    rest = dict(known)
     used = {path.name for path in folder.iterdir()}
     width, free, result = max(3, len(str(len(rows)))), 0, list[Row]()
     for number, (values, digest) in enumerate(rows, 1):
-        if (row := known.get(digest)) is None:
+        if (row := rest.get(digest)) is None:
             while (name := f"{free + 1:0{width}}") in used:
                 free += 1
             used.add(name)
-            row = known[digest] = Row(number, values, name, digest)
+            row = rest[digest] = Row(number, values, name, digest)
             write(folder, row)
         result.append(replace(row, number=number, values=values))
     return result
@@ -189,16 +193,8 @@ def write(folder: Path, row: Row) -> None:
     """
     refuse_links(folder / row.folder)
     make_folder(folder / row.folder)
-    table = asdict(row)
-    for name in ("numbers", "errors"):
-        table[name] = {k: v if math.isfinite(v) else None for k, v in table[name].items()}
-    replace_text(folder / row.folder / RECORD, json.dumps(table, indent=1, default=repr) + "\n")
-
-
-def _records(folder: Path) -> Iterator[Row]:
-    for path in sorted(folder.glob(f"*/{RECORD}")):
-        if not irregular(path.parent) and (row := _record(path)) is not None:
-            yield row
+    text = json.dumps(json_data(asdict(row)), indent=1, default=repr)
+    replace_text(folder / row.folder / RECORD, text + "\n")
 
 
 def _record(path: Path) -> Row | None:
@@ -210,7 +206,7 @@ def _record(path: Path) -> Row | None:
             for name in ("numbers", "errors")
         )
         status = str(table["status"])
-        if status not in ("planned", "solved", "audit", "failed"):
+        if status not in get_args(Status):
             return None
         return Row(
             number=int(table["number"]),

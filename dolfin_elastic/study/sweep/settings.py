@@ -13,9 +13,9 @@ import math
 import re
 import tomllib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
-from typing import Literal, cast
+from typing import TYPE_CHECKING, Literal, cast
 
 import numpy as np
 
@@ -23,6 +23,9 @@ from dolfin_elastic.case.toml import key_parts
 from dolfin_elastic.core.errors import InputError, nearest
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.core.units import number_and_unit
+
+if TYPE_CHECKING:
+    from dolfin_elastic.case.case import Case
 
 Kind = Literal["normal", "lognormal", "uniform"]
 KINDS = ("normal", "lognormal", "uniform")
@@ -209,6 +212,20 @@ def _spread(key: str, kind: str, inner: str) -> Spread:
     return Spread(of, first, scale * last, True, own)._checked(key)
 
 
+def with_means(case: Case, settings: Sequence[Setting]) -> list[Setting]:
+    """Settings of which those that scatter do so around the case's own value, if they say no other.
+
+    Raises:
+        InputError: The case has no number there.
+    """
+    return [
+        one
+        if one.spread is None
+        else replace(one, spread=one.spread.around(case.value_at(one.key), one.key))
+        for one in settings
+    ]
+
+
 # --- all together ---
 
 
@@ -250,7 +267,7 @@ def design(
     181 (2010) 259.
 
     Args:
-        settings: With means, see `Spread.around`.
+        settings: From `with_means`.
         together: The first values of all lists, then the second ones, and so on.
         samples: Of what scatters; by default `SAMPLES`.
         sobol: N of Sobol's indices, a power of 2: N (d + 2) runs of d settings.

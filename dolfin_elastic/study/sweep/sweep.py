@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import logging
 import math
 import time
 from collections.abc import Generator, Iterator, Mapping, Sequence
 from contextlib import closing
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from os import PathLike
 from pathlib import Path
@@ -26,16 +25,14 @@ from dolfin_elastic.mesh.body import Body
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.problem.state import State
 from dolfin_elastic.results.recovery.error import ErrorEstimator
-from dolfin_elastic.results.recovery.peaks import largest
-from dolfin_elastic.results.recovery.singular import singular_places
+from dolfin_elastic.results.recovery.peaks import Peak
 from dolfin_elastic.study.sweep import rows as files
 from dolfin_elastic.study.sweep.numbers import Known, known_of
 from dolfin_elastic.study.sweep.rows import Row, Status
-from dolfin_elastic.study.sweep.settings import Design, Setting, design, read_setting
+from dolfin_elastic.study.sweep.settings import Design, design, read_setting, with_means
 from dolfin_elastic.study.sweep.table import Results, write_table
-from dolfin_elastic.study.wanted import Wanted, WantedNumber
+from dolfin_elastic.study.wanted import SAME, Wanted, WantedNumber
 
-log = logging.getLogger("dolfin_elastic")
 _OF_MESH = ("mesh", "surfaces", "regions", "edges", "points", "contact")
 """Tables of a case that decide on its mesh and the names on it."""
 _CLAIM = "row.lock"
@@ -48,7 +45,8 @@ class Sweep:
     Attributes:
         case: Without the values that vary.
         design: The values of each run.
-        told: Results that are asked for; none: those by which a part is judged.
+        told: Results that are asked for, as they were written; none: those by which a part is
+            judged.
         folder: Of all that is written; each run has a folder in it.
         cases: Of each run its case.
         rows: Of each run its record, as it was before this sweep.
@@ -59,18 +57,28 @@ class Sweep:
 
     case: Case
     design: Design
-    told: tuple[str, ...]
+    told: Mapping[str, Wanted]
     folder: Path
     cases: tuple[Case, ...]
     rows: tuple[Row, ...]
     petsc: dict[str, PetscValue]
     bodies: _Bodies
     comm: MPI.Comm
+    _ended: dict[int, Row] = field(default_factory=dict)
 
     def results(self) -> Results:
         """The table as it is now. Collective."""
-        rows = on_root(self.comm, lambda: [files.read(self.folder, row) for row in self.rows])
+        rows = on_root(self.comm, lambda: [self._now(row) for row in self.rows])
         return Results(self.case.file, self.folder, self.design, tuple(rows))
+
+    def _now(self, row: Row) -> Row:
+        """A row as its record is now: what has ended does not change."""
+        now = self._ended.get(row.number, row)
+        if not now.ended:
+            now = files.read(self.folder, row)
+            if now.ended:
+                self._ended[row.number] = now
+        return now
 
     def run(self, only: int | None = None) -> Generator[Row, None, None]:
         """Computes the rows that have not ended and that nobody else computes.  Collective.
@@ -105,7 +113,7 @@ class Sweep:
         if not on_root(self.comm, partial(claim.acquire, 0.0)):
             return None
         with closing(claim):
-            known = on_root(self.comm, partial(files.read, self.folder, row))
+            known = on_root(self.comm, partial(self._now, row))
             if known.ended:
                 return None
             ended = self._solve(known, case)
@@ -152,11 +160,11 @@ class _Told:
     """The results of one run that are asked for.
 
     Args:
-        names: As they were written; none: the usual ones.
+        wanted: By their names as they were written; none: the usual ones.
     """
 
-    def __init__(self, names: Sequence[str], case: Case) -> None:
-        self._names, self._case = names, case
+    def __init__(self, wanted: Mapping[str, Wanted], case: Case) -> None:
+        self._wanted, self._case = wanted, case
         self._measured = dict[str, float]()
         self._errors, self._remarks = dict[str, float](), dict[str, str]()
 
@@ -164,8 +172,8 @@ class _Told:
         """Checks names of parts before anything is computed. Not collective."""
         probes = [*self._case.output.probes]
         supports = [support.label for support in self._case.support]
-        for name in self._names:
-            Wanted.read(name, "--tell").check(body, probes, supports)
+        for wanted in self._wanted.values():
+            wanted.check(body, probes, supports)
 
     def follow(self, run: CaseRun) -> None:
         """Runs an analysis to its end, and measures fields in its last state. Collective."""
@@ -176,19 +184,19 @@ class _Told:
 
     def _measure(self, state: State, problem: Problem | None) -> None:
         assert problem is not None
-        for name in self._names:
-            wanted = Wanted.read(name, "--tell")
+        for name, wanted in self._wanted.items():
             if wanted.part or wanted.reduction:
                 number = WantedNumber(wanted, problem)
                 measured, _ = number(state)
                 self._measured.setdefault(name, measured.value)
-                if wanted.is_stress and measured.place and state.v is None:
-                    self._judge(name, problem, state, number)
+                if wanted.is_stress and state.v is None:
+                    peak = number.peak(measured, ErrorEstimator(problem)(state))
+                    self._judge(name, peak)
 
-    def _judge(self, name: str, problem: Problem, state: State, number: WantedNumber) -> None:
-        """The error of a largest stress, or why it is not known. Collective."""
-        estimate = ErrorEstimator(problem)(state)
-        peak = largest(problem, estimate, number.chosen(), singular_places(problem))
+    def _judge(self, name: str, peak: Peak | None) -> None:
+        """The error of a largest stress, or why it is not known."""
+        if peak is None:
+            return
         self._errors[name] = peak.error
         if peak.singular:
             self._remarks[name] = f"singular at {peak.singular}: it grows with every refinement"
@@ -203,11 +211,11 @@ class _Told:
             InputError: The run has no such result, so none of the sweep will have it.
         """
         every = {**known.numbers, **self._measured}
-        if not self._names:
+        if not self._wanted:
             return {name: every[name] for name in known.usual}
         result = {}
-        for text in self._names:
-            name = text if text in every else _EQUAL.get(text, text.replace(" ", "_"))
+        for text, wanted in self._wanted.items():
+            name = text if text in every else SAME.get(text, wanted.name)
             if name not in every:
                 raise InputError(
                     f"there is no result '{text}'", where="--tell", expected=nearest(name, every)
@@ -219,9 +227,6 @@ class _Told:
         """What is known, with errors of and remarks on what was measured."""
         errors, remarks = {**known.errors, **self._errors}, {**known.remarks, **self._remarks}
         return replace(known, errors=errors, remarks=remarks)
-
-
-_EQUAL = {"energy": "strain_energy"}
 
 
 class _Bodies:
@@ -247,14 +252,10 @@ class _Bodies:
 
 def planned(
     case: Case,
-    settings: Sequence[Setting],
+    plan: Design,
     *,
     output: str | PathLike[str] | None = None,
     tell: Sequence[str] = (),
-    together: bool = False,
-    samples: int | None = None,
-    sobol: int | None = None,
-    seed: int = 0,
     petsc: PetscOptions | None = None,
     comm: MPI.Comm = MPI.COMM_WORLD,
 ) -> Sweep:
@@ -262,12 +263,10 @@ def planned(
 
     Args:
         case: From `read_case`, or made in Python.
-        settings: What varies, from `read_setting`.
+        plan: The values of each run.
         output: Folder of all results; by default that of `run` with "_sweep" at its end.
         tell: Results, as `converge --until` takes them, columns of history.csv, "frequency_1", ...;
             by default extremes, first modes and probes.
-        together: First values together, second values together, and so on; else each with each.
-        samples: See `design`, as for `sobol` and `seed`.
         petsc: PETSc options that win over the case's own.
         comm: The ranks that compute one run together.
 
@@ -275,29 +274,24 @@ def planned(
         InputError: A key, a value or a result is wrong; nothing has been written.
         OutputError: The folder cannot be written.
     """
-    names = tuple(dict.fromkeys(tell))
-    for name in names:
-        Wanted.read(name, "--tell")
-    means = [_with_mean(case, one) for one in settings]
-    plan = design(means, together=together, samples=samples, sobol=sobol, seed=seed)
+    told = {name: Wanted.read(name, "--tell") for name in tell}
     cases = tuple(case.changed(values) for values in plan.rows)
     folder = Path(output) if output is not None else default_folder(case)
     options, bodies, contents = dict(petsc or {}), _Bodies(comm), files.Contents()
 
-    def known() -> tuple[list[str], int]:
-        digests = [files.digest_of(one, names, options, contents) for one in cases]
-        return digests, files.first_unknown(folder, digests)
+    def found() -> tuple[list[str], dict[str, Row]]:
+        digests = [files.digest_of(one, list(told), options, contents) for one in cases]
+        return digests, files.known(folder)
 
-    digests, new = on_root(comm, known)
-    if new < len(cases):  # what is wrong with all of them is said of the first
-        cases[new].make_problem(bodies.body_of(cases[new], _Told(names, cases[new])))
-
-    def rows() -> list[Row]:
-        return files.plan(folder, list(zip(plan.rows, digests, strict=True)))
-
-    return Sweep(
-        case, plan, names, folder, cases, tuple(on_root(comm, rows)), options, bodies, comm
+    digests, known = on_root(comm, found)
+    new = next(
+        (one for one, digest in zip(cases, digests, strict=True) if digest not in known), None
     )
+    if new is not None:  # what is wrong with all of them is said of the first, before any folder
+        new.make_problem(bodies.body_of(new, _Told(told, new)))
+    pairs = list(zip(plan.rows, digests, strict=True))
+    rows = on_root(comm, lambda: files.plan(folder, pairs, known))
+    return Sweep(case, plan, told, folder, cases, tuple(rows), options, bodies, comm)
 
 
 def sweep(
@@ -321,7 +315,8 @@ def sweep(
     Args:
         case: From `read_case`, or made in Python.
         values: Dotted keys to lists, to texts with commas, or to distributions, see `settings`.
-        output: See `planned`, as for all others.
+        output: See `planned`, as for `tell`, `petsc` and `comm`.
+        together: See `design`, as for `samples`, `sobol` and `seed`.
 
     Raises:
         InputError: A key, a value or a result is wrong; nothing has been written.
@@ -329,18 +324,9 @@ def sweep(
         SolveError: No run has a solution; the table has the causes.
         StoppedError: A signal has asked for the end; the rows before it are complete.
     """
-    sweeping = planned(
-        case,
-        [read_setting(key, value) for key, value in values.items()],
-        output=output,
-        tell=tell,
-        together=together,
-        samples=samples,
-        sobol=sobol,
-        seed=seed,
-        petsc=petsc,
-        comm=comm,
-    )
+    settings = with_means(case, [read_setting(key, value) for key, value in values.items()])
+    plan = design(settings, together=together, samples=samples, sobol=sobol, seed=seed)
+    sweeping = planned(case, plan, output=output, tell=tell, petsc=petsc, comm=comm)
     try:
         for _ in sweeping.run():
             pass
@@ -349,13 +335,6 @@ def sweep(
         on_root(comm, partial(write_table, results, plot=True))
     results.check()
     return results
-
-
-def _with_mean(case: Case, setting: Setting) -> Setting:
-    """A setting that scatters around the case's own value where it has no other mean."""
-    if setting.spread is None:
-        return setting
-    return replace(setting, spread=setting.spread.around(case.value_at(setting.key), setting.key))
 
 
 def default_folder(case: Case) -> Path:

@@ -103,8 +103,8 @@ def test_nothing_is_computed_twice(folder: Path) -> None:
     E = "materials.steel.E"
 
     def computed(values: list[str], **changes: Any) -> list[str]:
-        settings = [read_setting(E, values)]
-        made = planned(case.changed(changes), settings, output=folder / "out")
+        plan = design([read_setting(E, values)])
+        made = planned(case.changed(changes), plan, output=folder / "out")
         seen.append(sum(row.ended for row in made.rows))
         return [str(row.values[E]) for row in made.run()]
 
