@@ -348,13 +348,17 @@ def _repeated(comm: MPI.Comm, corners: IntArray, sums: IntArray, most: int) -> i
             corner, shape (corners, cells): equal ones go to the same rank at the same time.
     """
     rounds = 1 + int(comm.allreduce(sums.size, op=MPI.MAX)) // _AT_ONCE
-    groups, result = sums % (comm.size * rounds), 0
-    for first in range(0, comm.size * rounds, comm.size):
-        sent = []
-        for group in range(first, first + comm.size):
-            rows = [corners[one == group] for one in groups]
-            facets = [np.delete(some, i, axis=1) for i, some in enumerate(rows)]
-            sent.append(np.concatenate(facets) if len(rows) > 1 else rows[0])
+    turns, result = sums % rounds, 0
+    for turn in range(rounds):
+        rows, ranks = [], []
+        for i, (own, turn_of) in enumerate(zip(sums, turns, strict=True)):
+            chosen = np.flatnonzero(turn_of == turn)
+            rows.append(corners[chosen] if len(sums) == 1 else np.delete(corners[chosen], i, 1))
+            ranks.append(own[chosen] // rounds % comm.size)
+        target = np.concatenate(ranks)
+        order = np.argsort(target, kind="stable")
+        ends = np.searchsorted(target[order], np.arange(1, comm.size))
+        sent = np.split(np.concatenate(rows)[order], ends)
         _, counts = np.unique(np.concatenate(comm.alltoall(sent)), axis=0, return_counts=True)
         result += int(np.count_nonzero(counts > most))
     return result
