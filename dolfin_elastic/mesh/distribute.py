@@ -289,9 +289,9 @@ def _known_surface(mesh: Mesh, raw: RawMesh | None) -> KnownSurface | None:
     order = np.argsort(rows, axis=1)
     table = _Table(np.take_along_axis(rows, order, axis=1))
     sorted_ones = np.full((len(facets), d, d), np.nan)
-    given: dict[int, tuple[AnyArray, ...]] | None = None
+    given: list[tuple[AnyArray, ...]] | None = None
     if raw is not None:
-        given = {n: (raw.face_facets[n], one) for n, one in raw.face_normals.items()}
+        given = [(raw.face_facets[n], one) for n, one in raw.face_normals.items()]
     for _, (vertices, normals) in _from_root(comm, given):
         turn = np.argsort(vertices, axis=1)
         at = table.find(np.take_along_axis(vertices, turn, axis=1))
@@ -312,22 +312,30 @@ Key = TypeVar("Key", str, int)
 
 
 def _from_root(
-    comm: MPI.Comm, tables: Mapping[Key, tuple[AnyArray, ...]] | None
-) -> Iterator[tuple[Key, tuple[AnyArray, ...]]]:
+    comm: MPI.Comm, tables: Sequence[tuple[AnyArray, ...]] | None
+) -> Iterator[tuple[IntArray, tuple[AnyArray, ...]]]:
     """The rows of tables of rank 0, some at a time, on all ranks. Collective.
 
     Args:
         comm: The ranks that share the mesh.
-        tables: Arrays with as many rows each, by name; on rank 0 only.
+        tables: Arrays with as many rows each; on rank 0 only.
+
+    Yields:
+        The number of the table of each row, and the rows, of which those of small tables come
+        together.
     """
-    sizes = comm.bcast({n: len(t[0]) for n, t in tables.items()} if tables is not None else None)
-    for name, size in sizes.items():
-        for first in range(0, size, AT_ONCE):
-            part = slice(first, first + AT_ONCE)
-            rows = None
-            if tables is not None:
-                rows = tuple(np.ascontiguousarray(one[part]) for one in tables[name])
-            yield name, comm.bcast(rows)
+    ends = np.cumsum(comm.bcast([0, *(len(t[0]) for t in tables)] if tables is not None else None))
+    for first in range(0, int(ends[-1]), AT_ONCE):
+        numbers = np.arange(first, min(first + AT_ONCE, int(ends[-1])))
+        rows, of = None, np.searchsorted(ends, numbers, side="right") - 1
+        if tables is not None:
+            parts = [
+                [one[max(0, first - ends[k]) : max(0, first + AT_ONCE - ends[k])] for one in table]
+                for k, table in enumerate(tables)
+                if of[0] <= k <= of[-1]
+            ]
+            rows = tuple(map(np.concatenate, zip(*parts, strict=True)))
+        yield of, comm.bcast(rows)
 
 
 class _Table:
@@ -374,29 +382,31 @@ def _entities(
         named: Name to the vertices of each, by their rows in the file; on rank 0 only.
     """
     comm = mesh.comm
-    wanted: dict[Key, tuple[AnyArray, ...]] | None = None
+    wanted: dict[Key, IntArray] = {}
     if named is not None:
-        wanted = {n: (np.unique(np.sort(e, axis=1), axis=0),) for n, e in named.items()}
-    sizes = comm.bcast({n: len(w[0]) for n, w in wanted.items()} if wanted is not None else None)
-    if not sizes:
+        wanted = {n: np.unique(np.sort(e, axis=1), axis=0) for n, e in named.items()}
+    sizes = comm.bcast({n: len(rows) for n, rows in wanted.items()})
+    if not any(sizes.values()):
         return {}, {}
     entities, keys = _candidates(mesh, None if named is None else list(named.values()), dim)
-    table = _Table(keys)
-    found: dict[Key, list[IntArray]] = {name: [] for name in sizes}
-    missed = dict.fromkeys(sizes, 0)
-    for name, (rows,) in _from_root(comm, wanted):
+    table, found = _Table(keys), list[tuple[IntArray, IntArray]]()
+    missed: IntArray = np.zeros(len(sizes), dtype=np.int64)
+    tables = None if named is None else [(rows,) for rows in wanted.values()]
+    for of, (rows,) in _from_root(comm, tables):
         at = table.find(rows)
         hit = np.ascontiguousarray(at >= 0, dtype=np.int32)
+        found.append((of[at >= 0], at[at >= 0]))
         comm.Allreduce(MPI.IN_PLACE, hit, op=MPI.MAX)
-        missed[name] += int(np.count_nonzero(hit == 0))
-        found[name].append(at[at >= 0])
+        missed += np.bincount(of[hit == 0], minlength=len(sizes))
     things = "facets" if dim == mesh.topology.dim - 1 else "edges"
     parts, lost = {}, {}
-    for name, size in sizes.items():
-        if missed[name] < size:
-            parts[name] = np.sort(entities[np.concatenate(found[name])]).astype(np.int32)
-        if missed[name]:
-            lost[name] = f"{missed[name]} of its {size} {things} are no {things} of an element"
+    of, at = map(np.concatenate, zip(*found, strict=True))
+    here = np.split(at, np.searchsorted(of, np.arange(1, len(sizes))))
+    for (name, size), count, rows in zip(sizes.items(), missed, here, strict=True):
+        if count < size:
+            parts[name] = np.sort(entities[rows]).astype(np.int32)
+        if count:
+            lost[name] = f"{count} of its {size} {things} are no {things} of an element"
     return parts, lost
 
 
@@ -435,9 +445,10 @@ def _candidates(
 def _points(mesh: Mesh, named: Mapping[str, IntArray] | None) -> dict[str, IndexArray]:
     """Local geometry nodes of each name, by their rows in the file on rank 0. Collective."""
     rows, result = np.asarray(mesh.geometry.input_global_indices), dict[str, list[IntArray]]()
-    tables: dict[str, tuple[AnyArray, ...]] | None = None
-    if named is not None:
-        tables = {name: (nodes,) for name, nodes in named.items()}
-    for name, (nodes,) in _from_root(mesh.comm, tables):
-        result.setdefault(name, []).append(np.flatnonzero(np.isin(rows, nodes)))
+    names = mesh.comm.bcast(None if named is None else list(named))
+    tables = None if named is None else [(nodes,) for nodes in named.values()]
+    for of, (nodes,) in _from_root(mesh.comm, tables):
+        for k in np.unique(of):
+            here = np.flatnonzero(np.isin(rows, nodes[of == k]))
+            result.setdefault(names[k], []).append(here)
     return {name: np.unique(np.concatenate(at)).astype(np.int32) for name, at in result.items()}
