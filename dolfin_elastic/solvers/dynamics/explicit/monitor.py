@@ -1,4 +1,4 @@
-"""Checks of explicit motion, which solves no equations that might fail: det F, strains, energy."""
+"""Checks of explicit motion, which solves no equations that might fail: det F and energy."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class StabilityMonitor:
 
     Attributes:
         watch: Of det F.
-        small: Of the size of strains.
+        small: Of the size of strains, which the audit checks.
         nonlinear: Some law is nonlinear, so that det F means something.
         violations: What speaks against the run.
         inverted: The warning of cells inside out; empty before.
@@ -60,18 +60,14 @@ class StabilityMonitor:
         return self.violations.texts()[0] if self.violations.verdict() == "fail" else ""
 
     def observe(self, t: float) -> None:
-        """Checks det F and the size of strains. Collective.
+        """Checks det F. Collective.
 
         Laws without a barrier have finite forces in inverted cells.  For linear laws det F has no
-        meaning: only their strains are checked.
+        meaning: the audit checks their strains.
 
         Args:
             t: Time [s].
         """
-        self.small.check(f"t = {t:.6g} s")
-        self._check_jacobian(t)
-
-    def _check_jacobian(self, t: float) -> None:
         if self.inverted or not self.nonlinear:
             return
         J, place = self.watch.smallest()
@@ -113,7 +109,7 @@ class StabilityMonitor:
         seems, drifts = np.abs(now - self._first) > DRIFT * self._largest_energy
         if seems or drifts:
             self._first = np.where([seems, drifts], now, self._first)  # each drift counts once
-            self._check_jacobian(t)  # inverted cells explain the drift
+            self.observe(t)  # inverted cells explain the drift
         if drifts and not self.inverted and "energy" not in self.violations.worst:
             off = abs(float(now[1]) - self._start) / self._largest_energy
             self.violations.add({"drift": Violation(DRIFTS, off)}, f"t = {t:.6g} s")
