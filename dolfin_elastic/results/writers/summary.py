@@ -305,11 +305,11 @@ class SummaryWriter:
             ],
         )
         solver = "; ".join(dict.fromkeys(mode.solver for mode in self._modes))
+        found: dict[str, object] = {"modes": rows, "eigensolver": solver}
         if not whole:
-            return {"modes": rows, "eigensolver": solver}
+            return found
         sums = {name: sum(mode.effective[name] for mode in self._modes) for name in whole}
         shares = {name: sums[name] / whole[name] for name in whole if whole[name] > 0.0}
-        found = {"modes": rows, "eigensolver": solver}
         return {**found, "whole": dict(whole), "effective_shares": shares}
 
     def _timings(self) -> dict[str, float]:
