@@ -776,6 +776,17 @@ INLINE void row_times(const int R, int64_t first, int64_t last, const int32_t* c
   }
 }
 
+/* r = b - A x, of one node */
+INLINE void residual(const int R, int64_t i, const int64_t* start, const int32_t* columns,
+                     const float* a, const double* x, const double* b, double* r)
+{
+  for (int k = 0; k < R; k++)
+    r[k] = 0.0;
+  row_times(R, start[i], start[i + 1], columns, a, x, r);
+  for (int k = 0; k < R; k++)
+    r[k] = b[i * R + k] - r[k];
+}
+
 /* z + S r */
 INLINE void add_scaled(const int R, const float* inverse, const double* r, double* z)
 {
@@ -807,14 +818,10 @@ INLINE void smooth_(const int R, const int C, int64_t n, const int64_t* start,
   for (int64_t i = 0; i < n; i++)
   {
     double r[R], z[R];
+    residual(R, i, start, columns, a, x, b, r);
     for (int k = 0; k < R; k++)
-      r[k] = z[k] = 0.0;
-    row_times(R, start[i], start[i + 1], columns, a, x, r);
-    for (int k = 0; k < R; k++)
-      r[k] = b[i * R + k] - r[k];
-    for (int c = 0; c < R; c++)
-      for (int k = 0; k < R; k++)
-        z[k] += inverse[(i * R + c) * R + k] * r[c];
+      z[k] = 0.0;
+    add_scaled(R, inverse + i * R * R, r, z);
     for (int k = 0; k < R; k++)
       y[i * R + k] = x[i * R + k] + z[k];
   }
@@ -831,14 +838,13 @@ int64_t smooth(int64_t R, int64_t n, const int64_t start[n + 1], const int32_t c
 INLINE void smooth_first_(const int R, const int C, int64_t n, const float* inverse,
                           const double* b, double* y)
 {
+  (void)C;
   for (int64_t i = 0; i < n; i++)
   {
     double z[R];
     for (int k = 0; k < R; k++)
       z[k] = 0.0;
-    for (int c = 0; c < C; c++)
-      for (int k = 0; k < R; k++)
-        z[k] += inverse[(i * R + c) * R + k] * b[i * R + c];
+    add_scaled(R, inverse + i * R * R, b + i * R, z);
     for (int k = 0; k < R; k++)
       y[i * R + k] = z[k];
   }
@@ -919,11 +925,7 @@ INLINE void restrict_residual_(const int R, const int C, int64_t n, const int64_
   for (int64_t i = 0; i < n; i++)
   {
     double r[R];
-    for (int k = 0; k < R; k++)
-      r[k] = 0.0;
-    row_times(R, start[i], start[i + 1], columns, a, x, r);
-    for (int k = 0; k < R; k++)
-      r[k] = b[i * R + k] - r[k];
+    residual(R, i, start, columns, a, x, b, r);
     restrict_node(R, C, p_start[i], p_start[i + 1], p_columns, p, r, coarse);
   }
 }
