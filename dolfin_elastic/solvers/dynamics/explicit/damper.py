@@ -64,7 +64,7 @@ class Damper:
             vector = la.vector(dofmap.index_map, dofmap.index_map_bs)
             self._forces = Forces(problem, bulk.work(), vector)
             self._bound = compiled(problem, [bulk.bound()])[0]
-        self._before: FloatArray = np.zeros((2, len(mass)))
+        self._before: FloatArray = np.zeros((1 + self.viscous, len(mass)))
 
     @property
     def viscous(self) -> bool:
@@ -109,12 +109,15 @@ class Damper:
             du: Change of the displacement, owned entries [m].
         """
         before, self._before = self._before, self._now(v)
-        self.local += (before + self._before) @ du / 2
+        work = (before + self._before) @ du / 2
+        self.local[: len(work)] += work
 
     def _now(self, v: FloatArray) -> FloatArray:
-        """Forces of all damping, and of bulk viscosity, shape (2, entries) [N]."""
-        drag = self._drag * v
-        bulk = np.zeros_like(drag) if self._forces is None else self._forces.owned
+        """Forces of all damping, and of bulk viscosity if there is any, each a row [N]."""
+        drag: FloatArray = self._drag * v
+        if self._forces is None:
+            return drag[None]
+        bulk = self._forces.owned
         return np.stack([drag + bulk, bulk])
 
     def take(self) -> FloatArray:
