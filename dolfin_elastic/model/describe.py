@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from functools import lru_cache
-from typing import NamedTuple, get_args
+from typing import NamedTuple
 
 from dolfin_elastic.core.schema import Record
 from dolfin_elastic.core.si_text import given
-from dolfin_elastic.core.units import Quantity
-from dolfin_elastic.model.materials.spatial import units_of
+from dolfin_elastic.model.materials.spatial import units_in_lists, units_of
 
 _UNITS = dict.fromkeys(("motion", "displacement"), "m")
 _UNITS["force"] = "N"
@@ -41,22 +39,9 @@ def other_keys(record: Record, *told: str) -> str:
     """
     table = record.model_dump(exclude_unset=True, exclude_none=True, by_alias=True)
     units = {**_UNITS, **dict.fromkeys(record.given_lengths(), "m")}
-    units |= {**units_of(type(record)), **_units_in_lists(type(record))}
+    units |= {**units_of(type(record)), **units_in_lists(type(record))}
     return "".join(
         f"; {key.replace('_', ' ')} {given(value, units.get(key, ''))}"
         for key, value in table.items()
         if key not in ("kind", "on", "name", *told)
     )
-
-
-@lru_cache
-def _units_in_lists(kind: type[Record]) -> dict[str, str]:
-    """Key to SI unit, for the fields that are lists of quantities such as `list[Length] | None`."""
-    return {
-        name: one.unit
-        for name, info in kind.model_fields.items()
-        for choice in (info.annotation, *get_args(info.annotation))
-        for item in get_args(choice)
-        for one in getattr(item, "__metadata__", ())
-        if isinstance(one, Quantity)
-    }

@@ -233,6 +233,19 @@ def units_of(kind: type[BaseModel]) -> dict[str, str]:
 
 
 @lru_cache
+def units_in_lists(kind: type[BaseModel]) -> dict[str, str]:
+    """Key to SI unit, for the fields that are lists of quantities such as `list[Length] | None`."""
+    return {
+        name: one.unit
+        for name, info in kind.model_fields.items()
+        for choice in (info.annotation, *get_args(info.annotation))
+        for item in get_args(choice)
+        for one in getattr(item, "__metadata__", ())
+        if isinstance(one, Quantity)
+    }
+
+
+@lru_cache
 def _with_table(kind: type[BaseModel]) -> frozenset[str]:
     """Names of the fields in whose place a table may stand that is no field of the mesh."""
     rows = kind.model_fields.items()

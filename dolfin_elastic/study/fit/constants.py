@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import ufl
-from pydantic.fields import FieldInfo
+from pydantic import BaseModel
 
 from dolfin_elastic.case.tables import Material
 from dolfin_elastic.core.errors import CaseError, InputError, UnitError, nearest
@@ -23,7 +23,7 @@ from dolfin_elastic.model.kinematics import gradient_symbol
 from dolfin_elastic.model.materials.law import Law
 from dolfin_elastic.model.materials.plasticity import HardeningCurve, Plastic
 from dolfin_elastic.model.materials.registry import MATERIALS
-from dolfin_elastic.model.materials.spatial import Range
+from dolfin_elastic.model.materials.spatial import Range, units_in_lists, units_of
 from dolfin_elastic.study.fit.curves import TestCurve
 
 FIT = "fit"
@@ -68,21 +68,21 @@ class Constant:
 
 def constants_of(law: Law) -> list[Constant]:
     """All numbers of a law that curves can depend on."""
-    rows, ranges = [], law.ranges()
+    rows, ranges, units = [], law.ranges(), _units(type(law))
     for name, value in law.constants().items():
         if name in (*_BESIDE, *law.directions):
             continue
-        info = type(law).model_fields.get(name)
-        unit, limits = "" if info is None else _unit(info), ranges.get(name, Range())
+        unit, limits = units.get(name, ""), ranges.get(name, Range())
         if isinstance(value, list):
             rows += [_constant(f"{name}[{i}]", unit, x, limits) for i, x in enumerate(value)]
         else:
             rows.append(_constant(name, unit, value, limits))
     if (curve := _voce(law)) is not None:
+        units = _units(HardeningCurve)
         for key in _VOCE:
-            info = HardeningCurve.model_fields[key]
-            value, limits = float(getattr(curve, key)), Range.of(info.metadata)
-            rows.append(_constant(f"hardening.{key}", _unit(info), value, limits))
+            limits = Range.of(HardeningCurve.model_fields[key].metadata)
+            value = float(getattr(curve, key))
+            rows.append(_constant(f"hardening.{key}", units.get(key, ""), value, limits))
     for i, term in enumerate(law.viscous):
         limits = Range(low=0.0)
         rows.append(_constant(f"viscous[{i}].ratio", "", term.ratio, limits))
@@ -95,10 +95,9 @@ def _voce(law: Law) -> HardeningCurve | None:
     return curve if isinstance(curve, HardeningCurve) and not curve.table else None
 
 
-def _unit(info: FieldInfo) -> str:
-    """SI unit of a field, of a list that of its items."""
-    kinds = re.findall(r"Quantity\(unit='([^']*)'", f"{info.metadata!r} {info.annotation!r}")
-    return kinds[0] if kinds else ""
+def _units(kind: type[BaseModel]) -> dict[str, str]:
+    """SI units of the fields that are quantities, or lists of them."""
+    return {**units_of(kind), **units_in_lists(kind)}
 
 
 def _constant(name: str, unit: str, value: float, limits: Range) -> Constant:
@@ -400,8 +399,10 @@ def _middle(table: Mapping[str, object], key: str, modulus: float) -> float:
     """A guess of a constant of which only the unit and the range are known."""
     law = MATERIALS.get(str(table.get("law")))
     info = None if law is None else law.model_fields.get(key)
-    if info is None or _unit(info) == "Pa":
-        return modulus if info is not None else 1.0
+    if law is None or info is None:
+        return 1.0
+    if _units(law).get(key) == "Pa":
+        return modulus
     limits = Range.of(info.metadata)
     middle = (limits.low + limits.high) / 2
     return middle if np.isfinite(middle) else 1.0
