@@ -16,6 +16,7 @@ import ufl
 from pydantic import BaseModel
 
 from dolfin_elastic.case.tables import Material
+from dolfin_elastic.case.toml import changed_tables
 from dolfin_elastic.core.errors import CaseError, InputError, UnitError, nearest
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.core.units import to_base, to_si
@@ -36,7 +37,6 @@ VOLUME = ("nu", "K", "lmbda")
 _BESIDE = ("density", "expansion", "allowable", "viscosity", "plastic_viscosity")
 """Numbers of a law that no curve depends on, but for the last, which needs a rate."""
 _VOCE = ("saturation", "rate", "slope")
-_STEP = re.compile(r"\[(\d+)\]|\.?([^.\[\]]+)")
 _EXPONENT = Range(low=-20.0, high=20.0, low_too=True, high_too=True)
 """Of Ogden's law: larger ones fit the scatter of the last points."""
 _INSIDE = 1e-9
@@ -285,26 +285,7 @@ def with_numbers(law: Law, numbers: Mapping[str, float]) -> Law:
 
 def table_with(law: Law, numbers: Mapping[str, object]) -> dict[str, object]:
     """A law's table with other values of some constants."""
-    table = _plain(Material(law=law).table())
-    assert isinstance(table, dict)
-    for name, value in numbers.items():
-        _put(table, name, value)
-    return table
-
-
-def _plain(value: object) -> object:
-    """A copy of which each part may be changed."""
-    if isinstance(value, Mapping):
-        return {key: _plain(part) for key, part in value.items()}
-    return [_plain(part) for part in value] if isinstance(value, list | tuple) else value
-
-
-def _put(table: object, name: str, value: object) -> None:
-    keys: list[int | str] = [int(i) if i else key for i, key in _STEP.findall(name)]
-    place = table
-    for key in keys[:-1]:
-        place = place[key]  # type: ignore[index]
-    place[keys[-1]] = value  # type: ignore[index]
+    return changed_tables(Material(law=law).table(), numbers, frozenset())
 
 
 # --- constants without a starting value ---
@@ -355,8 +336,7 @@ def guessed(table: Mapping[str, object], curves: Sequence[TestCurve]) -> dict[st
     for name, text in _texts(table):
         if text != FIT and name not in _NAMES and (hint := nearest(text, [FIT])).startswith("did"):
             raise InputError(f"'{text}' is neither a number nor \"fit\"", where=name, expected=hint)
-    names, result = [*marked_constants(table)], _plain(table)
-    assert isinstance(result, dict)
+    names, values = [*marked_constants(table)], dict[str, object]()
     sizes, times = _sizes(curves), [c.time for c in curves if c.time is not None]
     last = float(times[0][-1]) if times else 1.0
     first = max(float(times[0][0]), 1e-3 * last) if times else 1e-3
@@ -381,8 +361,8 @@ def guessed(table: Mapping[str, object], curves: Sequence[TestCurve]) -> dict[st
         elif key == "limit":
             I1 = 3 + max(_excess(curve) for curve in curves)
             value = _BEYOND * ((I1 - 3) if table.get("law") == "gent" else np.sqrt(I1 / 3))
-        _put(result, name, float(value))
-    return result
+        values[name] = float(value)
+    return changed_tables(table, values, frozenset())
 
 
 def _sign(table: Mapping[str, object], key: str, index: int, exponent: float) -> float:
