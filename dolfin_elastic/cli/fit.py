@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, TypeAlias
 
@@ -89,7 +89,9 @@ def fit(
     start()
     from mpi4py import MPI
 
+    from dolfin_elastic.case.case import locate_errors
     from dolfin_elastic.core.parallel import on_root
+    from dolfin_elastic.study.fit.fit import fit_curves, read_curves, starting_law
 
     files = {
         "uniaxial": uniaxial,
@@ -105,18 +107,18 @@ def fit(
 
     def on_one_rank() -> None:
         name, table = _read_law(law, only)
-        result = _fit(
-            str(law),
-            name,
-            table,
-            data,
-            unit,
-            true,
-            fix or [],
-            _pairs("--bounds", bounds),
-            _pairs("--weight", weight),
-            starts,
-            steps,
+        limits = _pairs("--bounds", bounds)
+        curves = read_curves(data, _weights(weight), unit=unit, true=true)
+        with locate_errors(f"{law}: materials.{name}"):
+            given, marked = starting_law(table, curves)
+        result = fit_curves(
+            given,
+            marked,
+            curves,
+            fix=fix or [],
+            bounds=limits,
+            starts=starts,
+            evaluations=steps,
         )
         _show(name, result, table.get("on"), folder, json)
 
@@ -171,38 +173,17 @@ def _pairs(option: str, texts: Texts) -> dict[str, str]:
     return result
 
 
-def _fit(
-    file: str,
-    name: str,
-    table: Mapping[str, object],
-    data: Mapping[str, Sequence[Path]],
-    unit: str | None,
-    true: bool,
-    fix: Sequence[str],
-    bounds: Mapping[str, str],
-    weights: Mapping[str, str],
-    starts: int | None,
-    steps: int,
-) -> Fit:
-    from dolfin_elastic.case.case import locate_errors
-    from dolfin_elastic.study.fit.fit import fit as fit_law
-    from dolfin_elastic.study.fit.fit import read_curves, starting_law
-
-    numbers = {}
-    for kind, text in weights.items():
+def _weights(texts: Texts) -> dict[str, float]:
+    """``["uniaxial=2"]`` as a dictionary."""
+    result = {}
+    for kind, text in _pairs("--weight", texts).items():
         try:
-            numbers[kind] = float(text)
+            result[kind] = float(text)
         except ValueError:
             raise CaseError(
                 f"{kind}: '{text}' is no weight", where="--weight", expected="a number above 0"
             ) from None
-    curves = read_curves(data, numbers, unit=unit, true=true)
-    with locate_errors(f"{file}: materials.{name}"):
-        starting_law({key: value for key, value in table.items() if key != "source"}, curves)
-    read: dict[str, list[object]] = {}
-    for curve in curves:
-        read.setdefault(curve.kind, []).append(curve)
-    return fit_law(table, read, fix=fix, bounds=bounds, starts=starts, evaluations=steps)
+    return result
 
 
 def _show(name: str, fit: Fit, on: object, folder: Path, json: bool) -> None:

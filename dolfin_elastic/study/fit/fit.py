@@ -179,15 +179,41 @@ def fit(
         SolveError: The law has no stress at the points, or cannot have the constants found.
     """
     curves = read_curves(data, weights or {}, unit=unit, true=true)
-    given = starting_law(law, curves)
-    marked = [] if isinstance(law, Law) else marked_rows(law)
-    constants = chosen(given, curves, fix, bounds or {}, marked)
-    start = with_numbers(given, {row.name: row.start for row in constants if not row.held})
-    model = Model(start, curves, constants)
+    given, marked = starting_law(law, curves)
+    return fit_curves(
+        given, marked, curves, fix=fix, bounds=bounds or {}, starts=starts, evaluations=evaluations
+    )
+
+
+def fit_curves(
+    law: Law,
+    marked: Collection[str],
+    curves: Sequence[TestCurve],
+    *,
+    fix: Collection[str],
+    bounds: Mapping[str, object],
+    starts: int | None,
+    evaluations: int,
+) -> Fit:
+    """The same of a law and of curves that have been read. Not collective.
+
+    Args:
+        law: See `starting_law`.
+        marked: Names of its constants that had no starting value.
+        curves: See `read_curves`.
+        fix: And the others, see `fit`.
+
+    Raises:
+        InputError: A constant or its bounds are wrong, or the law has no answer to a test.
+        SolveError: See `fit`.
+    """
+    constants = chosen(law, curves, fix, bounds, marked)
+    start = with_numbers(law, {row.name: row.start for row in constants if not row.held})
+    model, twin = Model(start, curves, constants), _incompressible(start, constants)
     quick = isinstance(model.tests, HomogeneousTests) and model.tests.incompressible
-    usual = STARTS if quick or _incompressible(start, constants) else SLOW_STARTS
+    usual = SLOW_STARTS if twin is None and not quick else STARTS
     many = usual if starts is None else starts
-    if (twin := _incompressible(start, constants)) is None:
+    if twin is None:
         answer = search(model, many, evaluations)
     else:  # whose states are known at once: its constants are near
         first = search(Model(twin, curves, constants), many, evaluations)
@@ -204,8 +230,10 @@ def _incompressible(law: Law, constants: Sequence[Constant]) -> Law | None:
     return with_numbers(law, {"nu": 0.5})
 
 
-def starting_law(law: Law | Mapping[str, object], curves: Sequence[TestCurve]) -> Law:
-    """The law from which a fit starts.
+def starting_law(
+    law: Law | Mapping[str, object], curves: Sequence[TestCurve]
+) -> tuple[Law, list[str]]:
+    """The law from which a fit starts, and names of its constants that are "fit".
 
     Args:
         law: See `fit`.
@@ -217,7 +245,7 @@ def starting_law(law: Law | Mapping[str, object], curves: Sequence[TestCurve]) -
     given = law if isinstance(law, Law) else Material.read(guessed(law, curves)).law
     for name in given.spatial_constants():
         raise CaseError("this constant varies in space", where=name, expected="a number")
-    return given
+    return given, [] if isinstance(law, Law) else marked_rows(law)
 
 
 def read_curves(
