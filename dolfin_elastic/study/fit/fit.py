@@ -299,9 +299,7 @@ def _result(start: Law, model: Model, constants: list[Constant], answer: Answer)
         notes.append(f"the law does not accept these constants: {error}")
         why = "the law does not accept its constants" if answer.ended else answer.why
         answer = replace(answer, ended=False, why=why)
-    stresses = np.split(
-        model.stresses(answer.z[None])[0], np.cumsum([len(c.x) for c in model.curves])[:-1]
-    )
+    stresses = model.by_curve(model.stresses(answer.z[None])[0])
     curves = tuple(
         FittedCurve(c, P, _line(model, c, answer.z))
         for c, P in zip(model.curves, stresses, strict=True)

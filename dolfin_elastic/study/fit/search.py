@@ -54,14 +54,13 @@ class Model:
 
     Attributes:
         free: The constants that are fitted.
-        evaluations: Sets of constants whose stresses were found.
     """
 
     def __init__(
         self, law: Law, curves: Sequence[TestCurve], constants: Sequence[Constant]
     ) -> None:
         check_curves(law, curves)
-        self.curves, self.evaluations = list(curves), 0
+        self.curves = list(curves)
         self.free = [row for row in constants if not row.held]
         names = [row.name for row in self.free]
         memory = law.memory
@@ -87,8 +86,11 @@ class Model:
     def stresses(self, z: FloatArray) -> FloatArray:
         """Of all curves in a row [Pa], shape (m, N), for sets of constants of shape (m, k)."""
         rows = z * self.scale
-        self.evaluations += len(rows)
         return np.hstack([self.tests.predict(curve, rows) for curve in self.curves])
+
+    def by_curve(self, values: FloatArray) -> list[FloatArray]:
+        """Values at all points, of shape (N,), curve by curve."""
+        return np.split(values, np.cumsum([len(curve.x) for curve in self.curves])[:-1])
 
     def residuals(self, z: FloatArray) -> FloatArray:
         """Weighted differences from what was measured, shape (N,)."""
@@ -172,7 +174,6 @@ class Answer:
         why: How it has ended.
         starts: How many were tried.
         same: How many of them have ended there.
-        unique: There is no other minimum.
     """
 
     z: FloatArray
@@ -181,7 +182,6 @@ class Answer:
     why: str
     starts: int
     same: int
-    unique: bool
 
 
 def search(model: Model, starts: int, evaluations: int) -> Answer:
@@ -198,14 +198,12 @@ def search(model: Model, starts: int, evaluations: int) -> Answer:
     if linear.all():
         z = model.best_linear(model.start, linear)
         cost = float(np.sum(model.residuals(z) ** 2))
-        return Answer(z, cost, True, "linear least squares", 1, 1, True)
+        return Answer(z, cost, True, "linear least squares", 1, 1)
     ends: list[Answer] = []
     for k, z in enumerate(_starts(model, linear, starts)):
         if (end := _descend(model, z, linear, evaluations)) is not None:
             ends.append(end)
-            best = min(one.cost for one in ends)
-            same = sum(one.cost <= best * (1 + _SAME) + 1e-24 for one in ends)
-            if same >= _ENOUGH and k + 1 >= 2 * _ENOUGH:
+            if len(_same(ends)) >= _ENOUGH and k + 1 >= 2 * _ENOUGH:
                 break
     if not ends:
         raise SolveError(
@@ -213,9 +211,14 @@ def search(model: Model, starts: int, evaluations: int) -> Answer:
             advice="other starting values, --bounds, or fewer points",
         )
     answer = min(ends, key=lambda one: one.cost)
-    answer = replace(answer, z=np.where(_seen(model, answer.z), answer.z, model.start))
-    same = sum(one.cost <= answer.cost * (1 + _SAME) + 1e-24 for one in ends)
-    return Answer(answer.z, answer.cost, answer.ended, answer.why, len(ends), same, False)
+    z = np.where(_seen(model, answer.z), answer.z, model.start)
+    return replace(answer, z=z, starts=len(ends), same=len(_same(ends)))
+
+
+def _same(ends: Sequence[Answer]) -> list[Answer]:
+    """Those that have the least sum."""
+    least = min(one.cost for one in ends)
+    return [one for one in ends if one.cost <= least * (1 + _SAME) + 1e-24]
 
 
 def _starts(model: Model, linear: BoolArray, count: int) -> list[FloatArray]:
@@ -296,7 +299,7 @@ def _descend(model: Model, z: FloatArray, linear: BoolArray, evaluations: int) -
     )
     why = f"{evaluations} steps are done" if found.status == 0 else "least squares"
     z = part.whole(found.x)
-    return Answer(z, 2 * float(found.cost), found.status > 0, why, 1, 1, False)
+    return Answer(z, 2 * float(found.cost), found.status > 0, why, 1, 1)
 
 
 # --- what the answer says of the constants ---
@@ -366,10 +369,6 @@ def _seen(model: Model, z: FloatArray) -> BoolArray:
 
 def _variances(model: Model, residuals: FloatArray, k: int) -> FloatArray:
     """Of the weighted errors, estimated curve by curve, shape (N,)."""
-    result, begin, count = [], 0, len(residuals)
-    for curve in model.curves:
-        n = len(curve.x)
-        part = residuals[begin : begin + n]
-        result.append(np.full(n, np.sum(part**2) / (n * (1 - k / count))))
-        begin += n
-    return np.concatenate(result)
+    left = 1 - k / len(residuals)
+    parts = model.by_curve(residuals)
+    return np.concatenate([np.full(len(x), np.sum(x**2) / (len(x) * left)) for x in parts])
