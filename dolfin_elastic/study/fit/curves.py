@@ -134,6 +134,17 @@ class TestCurve:
         """Root mean square of the stresses [Pa]."""
         return float(np.sqrt(np.mean(self.stress**2)))
 
+    def steps(self) -> tuple[FloatArray, FloatArray]:
+        """`x` at the ends of all steps from the rest, and their lengths [s], each of shape (s,).
+
+        The last n are those to what was measured; the sudden stretch of a relaxation comes first.
+        """
+        t = np.zeros(len(self.x)) if self.time is None else self.time
+        lengths = np.diff(t, prepend=min(float(t[0]), 0.0))
+        if self.kind != "relaxation":
+            return self.x, lengths
+        return np.concatenate([self.x[:1], self.x]), np.concatenate([[0.0], lengths])
+
 
 def known_kind(kind: str, where: str = "") -> TestKind:
     """The kind of a name.

@@ -170,11 +170,9 @@ class HomogeneousTests:
         adds from the stresses of the F before. As the past is known where it begins, the errors
         leave step by step, and fast where the volume hardly changes.
         """
-        assert curve.time is not None
-        m, (x, t, used) = len(rows), _history(curve)
+        m, (x, steps) = len(rows), curve.steps()
         arrays = [np.repeat(array, len(x), axis=0) for array in self._symbolic.arrays(rows)]
         branches = self._branches(rows)
-        steps = np.diff(t, prepend=0.0 if curve.kind == "relaxation" else min(float(t[0]), 0.0))
         F = self._guess(curve, np.tile(x, m))
         step = _Step(np.zeros_like(F), np.repeat(branches[2], len(x)))
         mode = mode_of(curve)
@@ -190,7 +188,7 @@ class HomogeneousTests:
                     break
         if not self.incompressible:
             F[~(change <= _GOOD)] = np.nan
-        return self._measured(curve, F, step, arrays).reshape(m, -1)[:, used:]
+        return self._measured(curve, F, step, arrays).reshape(m, -1)[:, -len(curve.x) :]
 
     def _guess(self, curve: TestCurve, values: FloatArray) -> FloatArray:
         """F whose free stretches are those of a law with the same Poisson's ratio; (n, 3, 3)."""
@@ -255,15 +253,6 @@ class HomogeneousTests:
         if curve.true and not linear and mode.name != "simple-shear":
             value = value * F[:, 0, 0] / np.linalg.det(F)
         return np.asarray(value)
-
-
-def _history(curve: TestCurve) -> tuple[FloatArray, FloatArray, int]:
-    """Stretches and times of all steps, and the first that was measured."""
-    assert curve.time is not None
-    if curve.kind != "relaxation":
-        return curve.x, curve.time, 0
-    # The sudden stretch comes first.
-    return np.concatenate([curve.x[:1], curve.x]), np.concatenate([[0.0], curve.time]), 1
 
 
 def _past(

@@ -66,12 +66,7 @@ class SteppedBars:
             )
         self._point.values = self._start
         arrays, m = self._symbolic.arrays(rows), len(rows)
-        t = np.zeros(len(curve.x)) if curve.time is None else curve.time
-        stretches: FloatArray = curve.x
-        steps: FloatArray = np.diff(t, prepend=min(float(t[0]), 0.0))
-        if curve.kind == "relaxation":  # the sudden stretch comes first
-            stretches = np.concatenate([stretches[:1], stretches])
-            steps = np.concatenate([[0.0], steps])
+        stretches, steps = curve.steps()
         e, w = np.zeros(m), np.zeros(m)
         thinner: FloatArray = np.full(m, -0.4)
         found = []
