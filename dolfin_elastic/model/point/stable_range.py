@@ -62,16 +62,22 @@ def stable_ranges(law: Law) -> tuple[StableRange, ...]:
 
 
 def _range(tested: LawUnderTest, curve: ResponseCurve) -> StableRange:
-    good = (acoustic_eigenvalues(tested.point, curve.F) > 0) & _rising(curve, curve.rest)
+    stress = curve.P[:, *curve.mode.shown]
+    good = (acoustic_eigenvalues(tested.point, curve.F) > 0) & rising(stress, curve.rest)
     low, high = curve.interval(good)
     whole = (low, high) == (0, len(good) - 1) and not curve.ends
     return StableRange(curve.mode, float(curve.values[low]), float(curve.values[high]), whole)
 
 
-def _rising(curve: ResponseCurve, rest: int) -> AnyArray:
-    """Whether the nominal stress rises from the neighbour on the side of the rest."""
-    rises = np.diff(curve.P[(slice(None), *curve.mode.shown)]) > 0
-    good = np.ones(len(curve.values), dtype=bool)
+def rising(stress: AnyArray, rest: int) -> AnyArray:
+    """Whether a stress rises from the neighbour on the side of the rest, shape (n,).
+
+    Args:
+        stress: Along one mode, shape (n,).
+        rest: Index of the state at F = I.
+    """
+    rises = np.diff(stress) > 0
+    good = np.ones(len(stress), dtype=bool)
     good[:rest], good[rest + 1 :] = rises[:rest], rises[rest:]
     return good
 

@@ -89,9 +89,7 @@ class HomogeneousTests:
             self._law = memory.over_step({"H": self._H}, step)
         small = law.small_strain()
         self._nu = 0.45 if small is None else min(small.nu, 0.4999)
-        self.incompressible = isinstance(law, SplitLaw) and bool(
-            np.isinf(getattr(law, law.volume_modulus) or 0.0)
-        )
+        self.incompressible = _is_incompressible(law)
 
     def _stress(self, F: Expr) -> Expr:
         if self.incompressible:
@@ -146,22 +144,24 @@ class HomogeneousTests:
         """
         if curve.time is not None and self._given.viscous:
             return self._over_time(curve, rows)
-        at = self._slow(curve, rows)
-        return self._measured(curve, *at).reshape(len(rows), len(curve.x))
+        return self.slow(curve, rows)[1]
 
-    def states(self, curve: TestCurve, rows: FloatArray) -> FloatArray:
-        """Deformation gradients of a slow test, shape (m n, 3, 3), one set after the other."""
-        return self._slow(curve, rows)[0]
+    def slow(self, curve: TestCurve, rows: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Deformation gradients of a test without times, and the stress as it was measured [Pa].
 
-    def _slow(
-        self, curve: TestCurve, rows: FloatArray
-    ) -> tuple[FloatArray, _Step, Sequence[FloatArray]]:
+        Args:
+            rows: See `predict`.
+
+        Returns:
+            Shapes (m n, 3, 3), one set after the other, and (m, n).
+        """
         m, n = len(rows), len(curve.x)
         lasting = self._branches(rows)[2]
         step = _Step(np.zeros((m * n, 3, 3)), np.repeat(lasting, n))
         arrays = [np.repeat(array, n, axis=0) for array in self._symbolic.arrays(rows)]
         F = self._guess(curve, np.tile(curve.x, m))
-        return self._equilibrium(mode_of(curve), F, step, arrays), step, arrays
+        F = self._equilibrium(mode_of(curve), F, step, arrays)
+        return F, self._measured(curve, F, step, arrays).reshape(m, n)
 
     def _over_time(self, curve: TestCurve, rows: FloatArray) -> FloatArray:
         """The same over time, from a body at rest.
@@ -238,11 +238,8 @@ class HomogeneousTests:
         self, curve: TestCurve, F: FloatArray, step: _Step, arrays: Sequence[FloatArray]
     ) -> FloatArray:
         """What the machine shows in states [Pa], shape (n,)."""
-        P, mode, linear = (
-            self._P(F, step.H, step.instant, *arrays),
-            mode_of(curve),
-            self._given.linear,
-        )
+        P = self._P(F, step.H, step.instant, *arrays)
+        mode, linear = mode_of(curve), self._given.linear
         if curve.kind == "volumetric":
             F = np.broadcast_to(np.eye(3), F.shape) if linear else F
             J = np.linalg.det(F)
@@ -286,13 +283,17 @@ def _solved(matrix: AnyArray, right: AnyArray) -> FloatArray:
     return result
 
 
+def _is_incompressible(law: Law) -> bool:
+    return isinstance(law, SplitLaw) and bool(np.isinf(getattr(law, law.volume_modulus) or 0.0))
+
+
 def check_curves(law: Law, curves: Sequence[TestCurve]) -> None:
     """Refuses tests that a law has no answer to.
 
     Raises:
         InputError: See above.
     """
-    solid = isinstance(law, SplitLaw) and np.isinf(getattr(law, law.volume_modulus) or 0.0)
+    solid = _is_incompressible(law)
     for curve in curves:
         where = curve.source or curve.kind
         if curve.kind == "volumetric" and solid:
@@ -307,11 +308,7 @@ def check_curves(law: Law, curves: Sequence[TestCurve]) -> None:
                 where=where,
                 expected='viscous = [{ratio = "fit", time = "fit"}] in its table, a branch or more',
             )
-    if (
-        law.directions
-        and any(getattr(law, name, None) is not None for name in law.directions)
-        and solid
-    ):
+    if solid and any(getattr(law, name, None) is not None for name in law.directions):
         raise CaseError(
             "an anisotropic law cannot be fitted with nu = 0.5",
             expected="nu = 0.499, which is close",

@@ -10,6 +10,7 @@ from dolfin_elastic.core.si_text import listed
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.model.materials.law import Law
 from dolfin_elastic.model.point.ellipticity import acoustic_eigenvalues
+from dolfin_elastic.model.point.stable_range import rising
 from dolfin_elastic.model.point.tested import with_finite_moduli
 from dolfin_elastic.model.point.ufl_to_numpy import LawAtPoints
 from dolfin_elastic.study.fit.constants import VOLUME
@@ -89,11 +90,8 @@ def _which(model: Model, z: FloatArray, weak: FloatArray, group: Sequence[int]) 
         seen = _seen(model, [TestCurve(kind, x, np.ones_like(x))], z, weak)
         if np.isfinite(seen) and seen > best:
             best, name = seen, kind
-    return f": {_article(name)} {name} test would tell" if name else ""
-
-
-def _article(word: str) -> str:
-    return "an" if word[:1] in "aeiou" and word != "uniaxial" else "a"
+    article = "an" if name == "equibiaxial" else "a"
+    return f": {article} {name} test would tell" if name else ""
 
 
 def _seen(model: Model, curves: Sequence[TestCurve], z: FloatArray, weak: FloatArray) -> float:
@@ -118,21 +116,18 @@ def stability(law: Law, model: Model, z: FloatArray) -> Iterator[str]:
     tests = model.tests
     if not isinstance(tests, HomogeneousTests) or law.linear:
         return
-    point, lost, looked = LawAtPoints(with_finite_moduli(law)), False, False
-    for name in dict.fromkeys(mode_of(c).name for c in model.curves if c.kind != "volumetric"):
-        curves = [c for c in model.curves if mode_of(c).name == name and c.kind != "volumetric"]
-        mode, looked = mode_of(curves[0]), True
+    point, lost = LawAtPoints(with_finite_moduli(law)), False
+    strained = [c for c in model.curves if c.kind != "volumetric"]
+    for mode in dict.fromkeys(map(mode_of, strained)):
+        curves, name = [c for c in strained if mode_of(c) is mode], mode.name
         low = min(mode.rest, *(float(c.x.min()) for c in curves))
         high = max(mode.rest, *(float(c.x.max()) for c in curves))
         sides = np.linspace(low, mode.rest, _GRID), np.linspace(mode.rest, high, _GRID)
         x = np.unique(np.concatenate(sides))
         grid = TestCurve("shear" if name == "simple-shear" else name, x, np.ones(len(x)))
-        P = tests.predict(grid, z[None] * model.scale)[0]
-        F, rest = tests.states(grid, z[None] * model.scale), int(np.argmin(np.abs(x - mode.rest)))
-        good = acoustic_eigenvalues(point, F) > 0
-        rises = np.diff(P) > 0
-        good[:rest] &= rises[:rest]
-        good[rest + 1 :] &= rises[rest:]
+        F, P = tests.slow(grid, z[None] * model.scale)
+        rest = int(np.argmin(np.abs(x - mode.rest)))
+        good = (acoustic_eigenvalues(point, F) > 0) & rising(P[0], rest)
         bad = np.flatnonzero(~good)
         first = int(bad[bad <= rest].max(initial=-1)) + 1
         last = int(bad[bad > rest].min(initial=len(x))) - 1
@@ -142,5 +137,5 @@ def stability(law: Law, model: Model, z: FloatArray) -> Iterator[str]:
                 f"not stable over the whole {name} test, {mode.symbol} {low:.4g} to {high:.4g}: "
                 f"only from {x[min(first, rest)]:.4g} to {x[max(last, rest)]:.4g}"
             )
-    if looked and not lost:
+    if strained and not lost:
         yield "stable over the range of the tests: elliptic, and the force rises"
