@@ -35,7 +35,7 @@ def toml_text(tables: Mapping[str, object]) -> str:
         if isinstance(value, Mapping):
             blocks += _blocks(key_text(key), value)
         elif isinstance(value, list | tuple) and _is_table(value):
-            blocks += [_block(f"[[{key_text(key)}]]", row) for row in value]
+            blocks += [block(f"[[{key_text(key)}]]", row) for row in value]
     return "\n\n".join(blocks) + "\n"
 
 
@@ -49,18 +49,19 @@ def _blocks(key: str, table: Mapping[str, object]) -> list[str]:
     """The table ``[key]``, or ``[key.name]`` for each: of materials and parts of [mesh]."""
     if isinstance(parts := table.get("parts"), Mapping):
         rest = {name: value for name, value in table.items() if name != "parts"}
-        return [*([_block(f"[{key}]", rest)] if rest else []), *_named(f"{key}.parts", parts)]
+        return [*([block(f"[{key}]", rest)] if rest else []), *_named(f"{key}.parts", parts)]
     materials = {n: row for n, row in table.items() if isinstance(row, Mapping) and "law" in row}
     if not table or len(materials) < len(table):
-        return [_block(f"[{key}]", table)]
+        return [block(f"[{key}]", table)]
     return _named(key, materials)
 
 
 def _named(key: str, tables: Mapping[str, Mapping[str, object]]) -> list[str]:
-    return [_block(f"[{key}.{key_text(name)}]", row) for name, row in tables.items()]
+    return [block(f"[{key}.{key_text(name)}]", row) for name, row in tables.items()]
 
 
-def _block(head: str, table: Mapping[str, object]) -> str:
+def block(head: str, table: Mapping[str, object]) -> str:
+    """A table as lines of a case file, below its head such as "[materials.gel]"."""
     return "\n".join([head, *(f"{key_text(k)} = {value_text(v)}" for k, v in table.items())])
 
 

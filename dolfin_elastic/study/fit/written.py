@@ -8,10 +8,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from dolfin_elastic.case.toml import key_text, value_text
+from dolfin_elastic.case.toml import block, key_text
 from dolfin_elastic.core.si_text import percent
 from dolfin_elastic.core.startup.elsewhere import plain_matplotlib
 from dolfin_elastic.core.units import stress_unit
+from dolfin_elastic.results.finished.curves import literal
 from dolfin_elastic.results.files import drafted, make_folder, replace_text
 from dolfin_elastic.study.fit.constants import table_with
 from dolfin_elastic.study.fit.curves import KINDS
@@ -36,8 +37,7 @@ def material_toml(name: str, fit: Fit, on: object = None) -> str:
         table["on"] = on
     tests = ", ".join(map(_described, fit.curves))
     table["source"] = f"fitted to {tests}; r.m.s. error over the largest stress"
-    lines = [f"{key_text(key)} = {value_text(value)}" for key, value in table.items()]
-    return "\n".join([f"[materials.{key_text(name)}]", *lines]) + "\n"
+    return block(f"[materials.{key_text(name)}]", table) + "\n"
 
 
 def _described(curve: FittedCurve) -> str:
@@ -118,7 +118,7 @@ def _draw(name: str, fit: Fit, path: Path) -> None:
         _panel(axis, curve)
     for axis in axes[len(fit.curves) :]:
         axis.axis("off")
-    figure.suptitle(name)
+    figure.suptitle(literal(name))
     with drafted(path) as draft:
         figure.savefig(draft, dpi=130, format=path.suffix[1:])
 
