@@ -313,30 +313,29 @@ def _checked(
         heads: Columns by name, for messages.
     """
     first, second = (name for name, _ in KINDS[kind].columns)
-    x = found[first]
+    x, source = found[first], file or kind
     if kind == "relaxation":
         if "stretch" not in found:
             raise CaseError(
                 "no column has the constant stretch of the bar",
-                where=file or kind,
+                where=source,
                 expected="a column 'stretch' beside time and stress",
             )
         x = found["stretch"]
     curve = TestCurve(kind, x, found[second], found.get("time"), true, source=file)
-    names = {"x": "stretch" if kind == "relaxation" else first, "time": "time", "stress": second}
+    what, ratios = "stretch" if kind == "relaxation" else first, kind != "shear"
     for name, values, least, words in (
-        ("x", curve.x if kind != "shear" else None, 0.0, "a stretch is a length over a length"),
+        (what, curve.x if ratios else None, 0.0, "a stretch is a length over a length"),
         ("time", curve.time, -np.finfo(float).tiny, "times count from the sudden stretch"),
-        ("stress", curve.stress, -np.inf, ""),
+        (second, curve.stress, -np.inf, ""),
     ):
         if values is None:
             continue
         bad = np.flatnonzero(~(values > least) | ~np.isfinite(values))
         if len(bad):
-            at = heads.get(names[name], names[name])
             raise CaseError(
-                f"line {rows[bad[0]]}: the {names[name]} is {values[bad[0]]:g}",
-                where=f"{file}: {at}" if file else f"{kind}: {at}",
+                f"line {rows[bad[0]]}: the {name} is {values[bad[0]]:g}",
+                where=f"{source}: {heads.get(name, name)}",
                 expected=f"above 0: {words}" if np.isfinite(least) else "a finite number",
             )
     if curve.time is not None and (np.diff(curve.time) < 0).any():
@@ -344,16 +343,16 @@ def _checked(
         where = f"{file}: {heads.get('time', 'time')}" if file else kind
         raise CaseError(f"line {line}: the time falls", where=where, expected="times that grow")
     if curve.size == 0:
-        raise CaseError("all stresses are 0", where=file or kind, expected="what was measured")
+        raise CaseError("all stresses are 0", where=source, expected="what was measured")
     if kind == "relaxation" and np.ptp(curve.x) > 1e-6:
         raise CaseError(
             "the stretch is not constant",
-            where=file or kind,
+            where=source,
             expected="one stretch in all lines; cyclic follows any stretch over time",
         )
     if kind in _PULLED:
         at = heads.get(first, first)
-        _check_signs(curve, f"{file}: {at}" if file else f"{kind}: {at}", "strain" in at.casefold())
+        _check_signs(curve, f"{source}: {at}", "strain" in at.casefold())
     return curve
 
 
