@@ -415,7 +415,7 @@ def _stiffness(curves: Sequence[TestCurve]) -> float:
     """About a third of the first slope of the curves [Pa]."""
     slopes = []
     for curve in curves:
-        strain = np.abs(curve.x - (0.0 if curve.kind == "shear" else 1.0))
+        strain = np.abs(curve.x - curve.mode.rest)
         first = np.flatnonzero(strain > 0)[:3]
         if curve.kind != "volumetric" and len(first):
             ratio = np.abs(curve.stress[first]) / strain[first]

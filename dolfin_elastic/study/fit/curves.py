@@ -13,6 +13,7 @@ from dolfin_elastic.core.errors import CaseError, InputError, UnitError, nearest
 from dolfin_elastic.core.files.columns import CsvTable, is_number, read_csv
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.core.units import to_si, unit_to_si
+from dolfin_elastic.model.point.homogeneous_tests import DEFORMATION_MODES, DeformationMode
 
 _HEAD = re.compile(r"(?P<name>[^\[(]*?)\s*[\[(]\s*(?P<unit>[^\])]*?)\s*[\])]\s*")
 
@@ -69,25 +70,30 @@ class TestKind:
 
     Attributes:
         what: It in words.
+        mode: How it deforms the body.
         columns: What its files must have, in the order of files without headings.
         more: What they may have besides.
     """
 
     what: str
+    mode: DeformationMode
     columns: tuple[Column, Column]
     more: tuple[Column, ...] = ()
 
 
+_BAR, _BOTH_WAYS, _ONE_WAY, _SHEARED, _SWOLLEN = DEFORMATION_MODES
 KINDS: Mapping[str, TestKind] = {
-    "uniaxial": TestKind("tension or compression of a bar", (_OF_STRETCH, _OF_STRESS)),
-    "equibiaxial": TestKind("a sheet pulled both ways", (_OF_STRETCH, _OF_STRESS)),
-    "planar": TestKind("a wide sheet pulled one way", (_OF_STRETCH, _OF_STRESS)),
-    "shear": TestKind("simple shear", (("shear", _SHEAR), ("stress", _SHEAR_STRESS))),
-    "volumetric": TestKind("a change of volume", (("volume ratio", _VOLUME), ("pressure", _MEAN))),
-    "relaxation": TestKind(
-        "a bar at a sudden stretch that stays", (_OF_TIME, _OF_STRESS), (_OF_STRETCH,)
+    "uniaxial": TestKind("tension or compression of a bar", _BAR, (_OF_STRETCH, _OF_STRESS)),
+    "equibiaxial": TestKind("a sheet pulled both ways", _BOTH_WAYS, (_OF_STRETCH, _OF_STRESS)),
+    "planar": TestKind("a wide sheet pulled one way", _ONE_WAY, (_OF_STRETCH, _OF_STRESS)),
+    "shear": TestKind("simple shear", _SHEARED, (("shear", _SHEAR), ("stress", _SHEAR_STRESS))),
+    "volumetric": TestKind(
+        "a change of volume", _SWOLLEN, (("volume ratio", _VOLUME), ("pressure", _MEAN))
     ),
-    "cyclic": TestKind("a bar strained to and fro", (_OF_STRETCH, _OF_STRESS), (_OF_TIME,)),
+    "relaxation": TestKind(
+        "a bar at a sudden stretch that stays", _BAR, (_OF_TIME, _OF_STRESS), (_OF_STRETCH,)
+    ),
+    "cyclic": TestKind("a bar strained to and fro", _BAR, (_OF_STRETCH, _OF_STRESS), (_OF_TIME,)),
 }
 """Name of an option of the command line, and key of `fit`, to the test."""
 
@@ -128,6 +134,11 @@ class TestCurve:
         if not len(self.x):
             where = self.source or self.kind
             raise CaseError("there are no points", where=where, expected="what was measured")
+
+    @property
+    def mode(self) -> DeformationMode:
+        """How the body is deformed."""
+        return KINDS[self.kind].mode
 
     @property
     def size(self) -> float:

@@ -23,7 +23,7 @@ from dolfin_elastic.study.fit.constants import (
     with_numbers,
 )
 from dolfin_elastic.study.fit.curves import KINDS, TestCurve, as_curve, known_kind
-from dolfin_elastic.study.fit.homogeneous import HomogeneousTests, mode_of
+from dolfin_elastic.study.fit.homogeneous import HomogeneousTests
 from dolfin_elastic.study.fit.remarks import remarks, stability
 from dolfin_elastic.study.fit.search import Answer, Certainty, Model, certainty, search
 
@@ -358,7 +358,7 @@ def _line(model: Model, curve: TestCurve, z: FloatArray) -> tuple[FloatArray, Fl
     """The curve of the law from the rest to the last point."""
     if curve.time is not None or not isinstance(model.tests, HomogeneousTests):
         return None
-    rest = mode_of(curve).rest
+    rest = curve.mode.rest
     x = np.linspace(min(rest, curve.x.min()), max(rest, curve.x.max()), _LINE, dtype=np.float64)
     return x, model.tests.predict(replace(curve, x=x), z[None] * model.scale)[0]
 

@@ -12,7 +12,7 @@ Source: R. W. Ogden, Non-linear Elastic Deformations (1984), section 4.4 (homoge
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -26,17 +26,11 @@ from dolfin_elastic.core.types import AnyArray, BoolArray, FloatArray
 from dolfin_elastic.model.kinematics import gradient_symbol, variables
 from dolfin_elastic.model.materials.law import Law, SplitLaw
 from dolfin_elastic.model.materials.viscous import Relaxation, Relaxed
-from dolfin_elastic.model.point.homogeneous_tests import DEFORMATION_MODES, DeformationMode
+from dolfin_elastic.model.point.homogeneous_tests import DeformationMode
 from dolfin_elastic.model.point.ufl_to_numpy import NumpyProgram
 from dolfin_elastic.study.fit.constants import SymbolicLaw
 from dolfin_elastic.study.fit.curves import TestCurve
 
-_MODES: Mapping[str, DeformationMode] = {
-    **{mode.name: mode for mode in DEFORMATION_MODES},
-    "shear": next(mode for mode in DEFORMATION_MODES if mode.name == "simple-shear"),
-    "relaxation": DEFORMATION_MODES[0],
-    "cyclic": DEFORMATION_MODES[0],
-}
 _ITERATIONS = 40
 _LARGEST_CHANGE = 0.3
 """Of a free stretch in one iteration, over itself."""
@@ -44,11 +38,6 @@ _SWEEPS = 60
 """Iterations of a whole history."""
 _NEAR, _GOOD = 1e-10, 1e-6
 """Last change of the free parts of F, whose square is round-off; and one that is still good."""
-
-
-def mode_of(curve: TestCurve) -> DeformationMode:
-    """The kind of deformation of a test."""
-    return _MODES[curve.kind]
 
 
 @dataclass(frozen=True)
@@ -160,7 +149,7 @@ class HomogeneousTests:
         step = _Step(np.zeros((m * n, 3, 3)), np.repeat(lasting, n))
         arrays = [np.repeat(array, n, axis=0) for array in self._symbolic.arrays(rows)]
         F = self._guess(curve, np.tile(curve.x, m))
-        F = self._equilibrium(mode_of(curve), F, step, arrays)
+        F = self._equilibrium(curve.mode, F, step, arrays)
         return F, self._measured(curve, F, step, arrays).reshape(m, n)
 
     def _over_time(self, curve: TestCurve, rows: FloatArray) -> FloatArray:
@@ -175,7 +164,7 @@ class HomogeneousTests:
         branches = self._branches(rows)
         F = self._guess(curve, np.tile(x, m))
         step = _Step(np.zeros_like(F), np.repeat(branches[2], len(x)))
-        mode = mode_of(curve)
+        mode = curve.mode
         change: FloatArray = np.full(len(F), np.inf)
         with np.errstate(all="ignore"):
             for _ in range(_SWEEPS):
@@ -192,7 +181,7 @@ class HomogeneousTests:
 
     def _guess(self, curve: TestCurve, values: FloatArray) -> FloatArray:
         """F whose free stretches are those of a law with the same Poisson's ratio; (n, 3, 3)."""
-        mode, nu = mode_of(curve), 0.5 if self.incompressible else self._nu
+        mode, nu = curve.mode, 0.5 if self.incompressible else self._nu
         places, which = np.unique(values, return_inverse=True)
         F = np.array([mode.place(float(value)) for value in places])[which]
         if not mode.free:
@@ -239,7 +228,7 @@ class HomogeneousTests:
     ) -> FloatArray:
         """What the machine shows in states [Pa], shape (n,)."""
         P = self._P(F, step.H, step.instant, *arrays)
-        mode, linear = mode_of(curve), self._given.linear
+        mode, linear = curve.mode, self._given.linear
         if curve.kind == "volumetric":
             F = np.broadcast_to(np.eye(3), F.shape) if linear else F
             J = np.linalg.det(F)

@@ -14,8 +14,8 @@ from dolfin_elastic.model.point.stable_range import rising
 from dolfin_elastic.model.point.tested import with_finite_moduli
 from dolfin_elastic.model.point.ufl_to_numpy import LawAtPoints
 from dolfin_elastic.study.fit.constants import VOLUME
-from dolfin_elastic.study.fit.curves import TestCurve
-from dolfin_elastic.study.fit.homogeneous import HomogeneousTests, mode_of
+from dolfin_elastic.study.fit.curves import KINDS, TestCurve
+from dolfin_elastic.study.fit.homogeneous import HomogeneousTests
 from dolfin_elastic.study.fit.search import Certainty, Model
 
 _OTHERS = ("uniaxial", "equibiaxial", "planar", "shear")
@@ -71,21 +71,20 @@ def _which(model: Model, z: FloatArray, weak: FloatArray, group: Sequence[int]) 
         return ": a volumetric test would tell"
     if any(name.startswith("viscous") for name in names):
         return ": a relaxation test over more decades of time would tell"
+    done = {curve.kind for curve in model.curves}
     if any(name.startswith(_METAL) for name in names):
-        kinds = {curve.kind for curve in model.curves}
-        better = "a cyclic test" if "uniaxial" in kinds else "a test to larger strains"
+        better = "a cyclic test" if "uniaxial" in done else "a test to larger strains"
         return f": {better} beyond yield would tell"
     if not isinstance(model.tests, HomogeneousTests) or not weak.any():
         return ""
     base = _seen(model, model.curves, z, weak)
-    done = {curve.kind for curve in model.curves}
-    ends = [float(c.x.max()) for c in model.curves if mode_of(c).rest == 1.0]
+    ends = [float(c.x.max()) for c in model.curves if c.mode.rest == 1.0]
     largest = max(ends, default=2.0)
     best, name = _BETTER * base, ""
     for kind in _OTHERS:
         if kind in done:
             continue
-        rest = 0.0 if kind == "shear" else 1.0
+        rest = KINDS[kind].mode.rest
         x = np.linspace(rest, largest - 1 + rest, _POINTS, dtype=np.float64)
         seen = _seen(model, [TestCurve(kind, x, np.ones_like(x))], z, weak)
         if np.isfinite(seen) and seen > best:
@@ -118,8 +117,8 @@ def stability(law: Law, model: Model, z: FloatArray) -> Iterator[str]:
         return
     point, lost = LawAtPoints(with_finite_moduli(law)), False
     strained = [c for c in model.curves if c.kind != "volumetric"]
-    for mode in dict.fromkeys(map(mode_of, strained)):
-        curves, name = [c for c in strained if mode_of(c) is mode], mode.name
+    for mode in dict.fromkeys(c.mode for c in strained):
+        curves, name = [c for c in strained if c.mode is mode], mode.name
         low = min(mode.rest, *(float(c.x.min()) for c in curves))
         high = max(mode.rest, *(float(c.x.max()) for c in curves))
         sides = np.linspace(low, mode.rest, _GRID), np.linspace(mode.rest, high, _GRID)
