@@ -296,6 +296,12 @@ def marked_constants(table: Mapping[str, object]) -> Iterator[str]:
     return (name for name, text in _texts(table) if text == FIT)
 
 
+def marked_rows(table: Mapping[str, object]) -> list[str]:
+    """The same, by the names that `constants_of` has."""
+    names = marked_constants(table)
+    return [re.sub(r"\w+", lambda m: _OTHER_NAMES.get(m[0], m[0]), name) for name in names]
+
+
 def _texts(value: object, name: str = "") -> Iterator[tuple[str, str]]:
     """Names and texts of a table, of what is inside it, too."""
     if isinstance(value, str):
@@ -310,12 +316,6 @@ def _texts(value: object, name: str = "") -> Iterator[tuple[str, str]]:
 
 _NAMES = ("law", "on", "energy", "source", "material")
 """Texts of a material's table that stand for no number."""
-
-
-def marked_rows(table: Mapping[str, object]) -> list[str]:
-    """The same, by the names that `constants_of` has."""
-    names = marked_constants(table)
-    return [re.sub(r"\w+", lambda m: _OTHER_NAMES.get(m[0], m[0]), name) for name in names]
 
 
 _EXPONENTS = (2.0, -2.0, 5.0, -5.0, 9.0)
