@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from dolfin_elastic.case.tables import Material
-from dolfin_elastic.core.errors import CaseError, InputError
+from dolfin_elastic.core.errors import CaseError, InputError, nearest
 from dolfin_elastic.core.si_text import listed, percent, quantity
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.model.materials.isochoric import Isochoric
@@ -137,8 +137,11 @@ class Fit:
         return tuple(row for row in self.constants if not row.held)
 
     def __getitem__(self, name: str) -> FittedConstant:
-        """The constant of a name."""
-        return next(row for row in self.constants if row.name == name)
+        """The constant of a name; of an unknown one a KeyError that names the nearest."""
+        known = {row.name: row for row in self.constants}
+        if name not in known:
+            raise KeyError(f"there is no constant '{name}'; {nearest(name, known)}")
+        return known[name]
 
     def __str__(self) -> str:
         rows = [f"{c.name} = {c.value:.6g} {c.unit}".rstrip() for c in self.constants]
