@@ -80,7 +80,7 @@ ALLOWED: dict[str, tuple[list[str], set[str]]] = {
     ),
     "curve": (
         [*PROGRAM, "plot", "done", "--curve", "step:strain_energy", "-o", "c.png"],
-        {"done", "c.png", ".c.part.png", "c.csv", ".c.csv.part"},
+        {"done", "c.png", ".c.png.part", "c.csv", ".c.csv.part"},
     ),
     "report": ([*PROGRAM, "report", "done"], {"done"}),
     "material": ([*PROGRAM, "material", "case.toml", "-o", "curves"], {"case.toml", "curves"}),
