@@ -342,6 +342,7 @@ class Residual:
 
     Args:
         dofs: The unknowns and what is prescribed of them.
+        tangent: For `constrain`; None where nobody asks for that.
         reactions: Loads at points, and the scale of restraints.
         inertia: Forces beside this work; None: nothing.
 
@@ -360,7 +361,7 @@ class Residual:
         self,
         dofs: ConstrainedDofs,
         work: ufl.Form,
-        tangent: Tangent,
+        tangent: Tangent | None,
         reactions: Reactions,
         inertia: InertiaForces | None,
     ) -> None:
@@ -408,6 +409,14 @@ class Residual:
             self.tied_nodal = self.owned[self._dofs.tied_dofs]
             self.owned[:] = self._dofs.collect(self.owned)
 
+    def move_prescribed(self) -> None:
+        """Moves what is prescribed of the problem's unknowns to its values. Collective."""
+        dofs, w = self._dofs, self._dofs.problem.w.x.array
+        w[: dofs.size] -= dofs.differences()
+        dofs.extend(w)
+        dofs.problem.w.x.scatter_forward()
+        dofs.problem.unknowns.w_to_u()
+
     def evaluate(self, x: PETSc.Vec, f: PETSc.Vec, *, target: FloatArray | None = None) -> None:
         """Evaluates the residual with its Dirichlet conditions.
 
@@ -427,6 +436,7 @@ class Residual:
             target: Prescribed values as of `Constraints.targets`; None: the problem's.
         """
         dofs = self._dofs
+        assert self._tangent is not None
         with stage("assemble"):
             differences = dofs.differences(target)
             out = dofs.balanced(self.owned)
@@ -533,6 +543,12 @@ class Assembler(ConstrainedDofs):
     def destroy(self) -> None:
         """Frees the tangent's matrix."""
         self.tangent.destroy()
+
+
+def out_of_balance(problem: Problem) -> Residual:
+    """The residual of a problem without all that a solution needs beside it. Collective."""
+    dofs = ConstrainedDofs(problem)
+    return Residual(dofs, problem.weak_form.residual, None, Reactions(dofs, None, {}, None), None)
 
 
 def compiled(problem: Problem, forms: Sequence[ufl.Form]) -> list[fem.Form]:

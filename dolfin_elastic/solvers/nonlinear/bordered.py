@@ -91,6 +91,7 @@ class Bordered:
 
     Attributes:
         columns: B, owned entries, one array a scalar.
+        rows: C, the same.
         corner: D.
         last: The scalars' residual at the last evaluation.
         iterations: Of the fields' linear solver so far.
@@ -106,7 +107,7 @@ class Bordered:
         )
         self.matrix.setUp()
         self.columns: list[FloatArray] = []
-        self._rows: list[FloatArray] = []
+        self.rows: list[FloatArray] = []
         self.corner: FloatArray = np.zeros((scalars.size, scalars.size))
         self._elimination = _Elimination(self)
         self.iterations = self._reason = 0
@@ -171,10 +172,10 @@ class Bordered:
         self._x.array_w[:] = x.array_r[: self._size]
         self.scalars.put(values)
         self.assembler.residual.evaluate(self._x, self._b)
-        self._rows = self.scalars.rows(self.assembler.residual)
+        self.rows = self.scalars.rows(self.assembler.residual)
         known = {
             j: self._with_response(j, column, own)
-            for j, (column, own) in self.scalars.exact(self._rows).items()
+            for j, (column, own) in self.scalars.exact(self.rows).items()
         }
         self.columns, self.corner = self._differences(values, known)
         self.assembler.tangent.assemble(self._x)
@@ -263,7 +264,7 @@ class Bordered:
 
     def products(self, fields: FloatArray) -> FloatArray:
         """C times owned entries of the fields. Collective."""
-        local = np.array([np.dot(row, fields) for row in self._rows])
+        local = np.array([np.dot(row, fields) for row in self.rows])
         return np.asarray(self._comm.allreduce(local, op=MPI.SUM))
 
     def solve(self, ksp: PETSc.KSP, b: PETSc.Vec, x: PETSc.Vec) -> None:

@@ -424,15 +424,22 @@ class Newton:
             self.ksp.setTolerances(rtol=self.test.linear_tolerance())
             self.linear.judge(may_be_last=self.test.may_be_last())
 
-    def factorise(self) -> None:
+    def factorise(self, *, anew: bool = True) -> None:
         """Assembles and factorises the tangent where the problem is. Collective.
+
+        Args:
+            anew: Else the factors or the preconditioner of the tangent before are left, if there
+                are any.
 
         Raises:
             InputError: See `solve`.
         """
-        self._shift_of, self.factorised = None, True
+        self._shift_of, self.factorised = None, self.factorised or anew
         self._source.get(self._x)
-        with stage("solve"), self.options.in_force(), self.options.elastic_errors():
+        with ExitStack() as left, self.options.in_force(), self.options.elastic_errors():
+            left.enter_context(stage("solve"))
+            if not anew:
+                left.enter_context(self.linear.left_as_it_is())
             self._tangent(self.snes, self._x, self._matrix, self._matrix)
             self.ksp.setOperators(self.assembler.tangent.matrix)
             self.ksp.setUp()

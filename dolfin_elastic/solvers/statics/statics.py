@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Generator
+from collections.abc import Callable, Generator
 from contextlib import ExitStack, closing
 from typing import Any
 
@@ -45,9 +45,14 @@ class Statics(Marching):
             without effect.
         gradual: States on the way are wanted: the load grows step by step though it could be taken
             at once.
+
+    Attributes:
+        observer: Called at each equilibrium, before it is yielded, with the solver that has found
+            it, whose tangent is there still.
     """
 
     settings: StaticsSettings
+    observer: Callable[[Newton, State], None] | None = None
 
     def __init__(
         self,
@@ -140,6 +145,8 @@ class Statics(Marching):
             states = owned.enter_context(closing(self._stepping.run(saved, near)))
             owned.enter_context(failing_together(self.problem.body.comm))
             for state in states:
+                if self.observer is not None:
+                    self.observer(newton, state)
                 if state.done < 1.0:
                     yield state
                 else:

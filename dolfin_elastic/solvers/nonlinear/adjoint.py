@@ -1,0 +1,125 @@
+"""`Adjoint`: what a small force anywhere changes of a number of an equilibrium.
+
+At an equilibrium R(w; m) = 0, with the number Q(w; m), the derivative by a parameter m is
+
+    dQ/dm = dQ/dm at fixed w + a . dR/dm at fixed w,    K^T a = -dQ/dw,
+
+with K = dR/dw: one solve for each number, whatever the parameters.  Scalar unknowns s beside the
+fields, with equations g(w, s; m) = 0, border the system as in `Bordered`.
+Source: D. A. Tortorelli and P. Michaleris, Inverse Problems in Engineering 1 (1994) 71.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from petsc4py import PETSc
+
+from dolfin_elastic.core.compat import petsc_errors
+from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.core.parallel import total
+from dolfin_elastic.core.timing import stage
+from dolfin_elastic.core.types import FloatArray
+from dolfin_elastic.solvers.petsc.options import ksp_reason
+
+if TYPE_CHECKING:
+    from dolfin_elastic.solvers.nonlinear.newton import Newton
+
+DIGITS = 1e-10
+"""Residual of an adjoint over its right-hand side: gradients are checked to 1e-6 and better."""
+_ITERATIONS, _RESTART = 2000, 60
+
+
+@dataclass(frozen=True)
+class AdjointState:
+    """Multipliers of the equations.
+
+    Attributes:
+        fields: Of the nodal equations, owned entries of all unknowns; none where prescribed.
+        scalars: Of those of scalar unknowns.
+        iterations: Of the linear solver.
+    """
+
+    fields: FloatArray
+    scalars: FloatArray
+    iterations: int
+
+
+class Adjoint:
+    """Solves with the transposed tangent of the present equilibrium. Collective; `destroy` it.
+
+    The tangent is assembled where the solve has ended; the factors or the preconditioner of
+    Newton's method, of a state one small step before, serve for it.
+
+    Args:
+        newton: After a solve that has converged.
+    """
+
+    def __init__(self, newton: Newton) -> None:
+        self._newton, self._assembler = newton, newton.assembler
+        newton.factorise(anew=False)
+        self._symmetric = bool(self._assembler.problem.symmetric)
+        self._x, self._y = (self._assembler.create_vector() for _ in range(2))
+        self._matrix = self._assembler.tangent.matrix
+        if not self._symmetric:
+            self._matrix = PETSc.Mat().createTranspose(self._matrix)
+        self._ksp = PETSc.KSP().create(self._assembler.comm)
+        self._ksp.setType("gmres")
+        self._ksp.setGMRESRestart(_RESTART)
+        self._ksp.setPCSide(PETSc.PC.Side.RIGHT)
+        self._ksp.setPC(newton.ksp.getPC())
+        self._ksp.setOperators(self._matrix, self._assembler.tangent.matrix)
+        self._ksp.setTolerances(rtol=DIGITS, atol=0.0, max_it=_ITERATIONS)
+        self._rows: list[FloatArray] | None = None
+        self._iterations = 0
+
+    @stage("adjoint")
+    def solve(self, derivative: FloatArray) -> AdjointState:
+        """The adjoint of a number. Collective.
+
+        Args:
+            derivative: dQ/dw, owned entries of all unknowns; a unit of Q per m.
+
+        Raises:
+            InputError: The linear solver has not converged.
+        """
+        self._iterations = 0
+        fields, bordered = self._inverse(-derivative), self._newton.bordered
+        scalars: FloatArray = np.zeros(0)
+        if bordered is not None:
+            comm = self._assembler.comm
+            columns, rows = np.array(bordered.columns), np.array(bordered.rows)
+            if self._rows is None:
+                self._rows = [self._inverse(row) for row in rows]
+            inverses = np.array(self._rows)
+            schur = bordered.corner.T - total(comm, columns @ inverses.T)
+            scalars = np.asarray(np.linalg.solve(schur, -total(comm, columns @ fields)))
+            fields = np.asarray(fields - scalars @ inverses)
+        return AdjointState(fields, scalars, self._iterations)
+
+    def _inverse(self, right: FloatArray) -> FloatArray:
+        """K^-T times what a vector has at free entries. Collective."""
+        linear, options = self._newton.linear, self._newton.options
+        self._x.array_w[:] = self._assembler.collect(right)
+        self._assembler.remove_constrained(self._x)
+        with options.in_force(), petsc_errors(), linear.left_as_it_is():
+            self._ksp.solve(self._x, self._y)
+        self._iterations += self._ksp.getIterationNumber()
+        reason = self._ksp.getConvergedReason()
+        if reason < 0:
+            raise InputError(
+                f"the adjoint was not found: {ksp_reason(reason)}",
+                expected='linear.solver = "direct", which has factors',
+            )
+        self._assembler.remove_constrained(self._y)
+        return np.asarray(self._y.array_r.copy())
+
+    def destroy(self) -> None:
+        """Frees what it owns. Collective."""
+        self._ksp.destroy()
+        self._x.destroy()
+        self._y.destroy()
+        if not self._symmetric:
+            self._matrix.destroy()

@@ -1,0 +1,1 @@
+"""Derivatives of numbers of an equilibrium: one adjoint solution for each number."""

@@ -1,0 +1,402 @@
+"""Numbers of an equilibrium with a derivative by its unknowns.
+
+Extremes have none, where two places share them; the gradient of a largest value is that of
+
+    (1/|part| int f^p dV)^(1/p),    p = 16,
+
+which is smooth, below the maximum, and tends to it as p grows.  Source: P. Duysinx and O. Sigmund,
+7th AIAA/USAF/NASA/ISSMO Symposium on Multidisciplinary Analysis and Optimization (1998), 1501.
+"""
+
+from __future__ import annotations
+
+import re
+from abc import ABC, abstractmethod
+from collections.abc import Collection, Mapping, Sequence
+
+import numpy as np
+import ufl
+from ufl.core.expr import Expr
+
+from dolfin_elastic.core.errors import InputError, nearest
+from dolfin_elastic.core.ghosts import assembled
+from dolfin_elastic.core.parallel import total
+from dolfin_elastic.core.types import FloatArray, IndexArray
+from dolfin_elastic.mesh.geometry.locate import locate
+from dolfin_elastic.model.kinematics import WeightedMeasure, weight
+from dolfin_elastic.problem.problem import Problem
+from dolfin_elastic.problem.spaces import part_nodes
+from dolfin_elastic.results.cell_fields import cell_components
+from dolfin_elastic.results.derived.part_numbers import has_length, sides_of
+from dolfin_elastic.results.fields import FIELDS, component_names
+from dolfin_elastic.solvers.assembly.assembler import Assembler, compiled, integral
+from dolfin_elastic.study.wanted import SAME, Wanted
+
+NORM = 16
+"""Exponent of the norm that stands for a largest value, unless another is given."""
+_COMPONENT = re.compile(r"(displacement|reaction)(?:_([xyz]))?")
+_NORM = re.compile(r"norm:(\d+)\s+(.*)", re.DOTALL)
+_OPTION = "--of"
+
+
+class Functional(ABC):
+    """One number of the present state of a problem.  All of it is collective.
+
+    Attributes:
+        name: What is told, such as "norm:16 von_mises on fillet".
+        unit: In SI.
+        form: The integral on which it depends, for derivatives by the positions of nodes and by
+            values of cells; None: it does not depend on them but by the unknowns.
+    """
+
+    form: ufl.Form | None = None
+
+    def __init__(self, name: str, unit: str, problem: Problem) -> None:
+        self.name, self.unit, self.problem = name, unit, problem
+
+    @abstractmethod
+    def value(self, forces: FloatArray) -> float:
+        """Its value.
+
+        Args:
+            forces: Out-of-balance nodal forces, owned entries of all unknowns [N].
+        """
+
+    @abstractmethod
+    def by_unknowns(self, assembler: Assembler) -> FloatArray:
+        """dQ/dw at owned entries, at the unknowns at which `value` was asked for last."""
+
+    def motion(self) -> FloatArray | None:
+        """The motion of owned entries of which it is the work of nodal forces; None: of none."""
+        return None
+
+    @property
+    def factor(self) -> float:
+        """dQ over the change of `form`, where `value` was asked for last."""
+        return 1.0
+
+
+class IntegralFunctional(Functional):
+    """An integral, a mean or the norm of a field over a part, or the strain energy.
+
+    Args:
+        form: The integral of the field, of its p-th power in a norm.
+        power: p; 1 of others.
+        size: Integral by which it is divided; None: by nothing.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        unit: str,
+        problem: Problem,
+        form: ufl.Form,
+        *,
+        power: int = 1,
+        size: ufl.Form | None = None,
+    ) -> None:
+        super().__init__(name, unit, problem)
+        self._power, self._size, self._mean = power, 1.0, problem.constant(0.0)
+        test = ufl.TestFunction(problem.W)
+        forms = [form, ufl.derivative(form, problem.w, test), *([] if size is None else [size])]
+        self._value, self._slope, *sizes = compiled(problem, forms)
+        # The change of a mean is that of the integral of what exceeds it.
+        self.form = form if size is None else form - self._mean * size
+        self._size = integral(problem, sizes[0]) if sizes else 1.0
+
+    def value(self, forces: FloatArray) -> float:
+        """See `Functional`."""
+        mean = integral(self.problem, self._value) / self._size
+        self._mean.value = mean
+        return float(mean ** (1 / self._power)) if self._power > 1 else mean
+
+    @property
+    def factor(self) -> float:
+        """See `Functional`."""
+        mean, p = float(self._mean.value), self._power
+        return (mean ** (1 / p - 1) / p if p > 1 else 1.0) / self._size
+
+    def by_unknowns(self, assembler: Assembler) -> FloatArray:
+        """See `Functional`."""
+        return self.factor * assembled(self._slope, self.problem.W)
+
+
+class NodalFunctional(Functional):
+    """A weighted sum of nodal displacements: at a point, or the mean of the nodes of a part.
+
+    Args:
+        weights: Owned nodes and the weight of each.
+        component: Number of the component; None: the length of the sum.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        problem: Problem,
+        weights: tuple[IndexArray, FloatArray],
+        component: int | None,
+    ) -> None:
+        super().__init__(name, "m", problem)
+        self._nodes, self._weights, self._component = *weights, component
+        self._along: FloatArray = np.zeros(problem.body.dim)
+
+    def value(self, forces: FloatArray) -> float:
+        """See `Functional`."""
+        problem, dim = self.problem, self.problem.body.dim
+        rows = problem.u.x.array.reshape(-1, dim)[self._nodes]
+        mean: FloatArray = np.asarray(
+            total(problem.body.comm, self._weights @ rows), dtype=np.float64
+        )
+        self._along = _direction(mean, self._component)
+        return float(self._along @ mean)
+
+    def by_unknowns(self, assembler: Assembler) -> FloatArray:
+        """See `Functional`."""
+        dim, dofs = self.problem.body.dim, assembler.displacement_dofs
+        rows = np.zeros((len(dofs) // dim, dim))
+        np.add.at(rows, self._nodes, self._weights[:, None] * self._along)
+        result = np.zeros(assembler.size)
+        result[dofs] = rows.reshape(-1)
+        return result
+
+
+class ReactionFunctional(Functional):
+    """The force of a support on the body, or a component of it.
+
+    Args:
+        entries: Owned entries of all unknowns at which the support holds the body.
+        components: Number of the component of each.
+        component: Which one is told; None: the length of the force.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        problem: Problem,
+        entries: tuple[IndexArray, IndexArray],
+        component: int | None,
+    ) -> None:
+        super().__init__(name, "N", problem)
+        self._entries, self._components, self._component = *entries, component
+        self._along: FloatArray = np.zeros(problem.body.dim)
+
+    def value(self, forces: FloatArray) -> float:
+        """See `Functional`."""
+        dim, comm = self.problem.body.dim, self.problem.body.comm
+        sums = np.bincount(self._components, forces[self._entries], minlength=dim)
+        force: FloatArray = np.asarray(total(comm, sums), dtype=np.float64)
+        self._along = _direction(force, self._component)
+        return float(self._along @ force)
+
+    def motion(self) -> FloatArray:
+        """See `Functional`: the support moved by one metre."""
+        size = self.problem.W.dofmap.index_map.size_local * self.problem.W.dofmap.index_map_bs
+        result = np.zeros(size)
+        result[self._entries] = self._along[self._components]
+        return result
+
+    def by_unknowns(self, assembler: Assembler) -> FloatArray:
+        """See `Functional`."""
+        motion = self.motion()
+        entries = np.flatnonzero(motion).astype(np.int32)
+        return assembler.residual.along(entries, motion[entries])
+
+
+def _direction(vector: FloatArray, component: int | None) -> FloatArray:
+    """Along which the length of a vector changes, or a component."""
+    if component is not None:
+        return np.asarray(np.eye(len(vector))[component])
+    size = float(np.linalg.norm(vector))
+    return np.asarray(vector / size if size else np.eye(len(vector))[0])
+
+
+# --- from their names ---
+
+
+def functionals(
+    names: Sequence[str], problem: Problem, probes: Mapping[str, Sequence[float]]
+) -> list[Functional]:
+    """Numbers by the names that `converge --until` takes, too. Collective.
+
+    Args:
+        names: Such as "displacement_z of tip", "reaction_x of left", "strain_energy",
+            "mean von_mises on fillet", "integral energy_density on core", "von_mises on fillet".
+        probes: Name to the place of probes that are points [m].
+
+    Raises:
+        InputError: There is no such number, or it has no derivative.
+    """
+    return [_functional(name, problem, probes) for name in names]
+
+
+def _functional(text: str, problem: Problem, probes: Mapping[str, Sequence[float]]) -> Functional:
+    norm = _NORM.fullmatch(text.strip())
+    power = int(norm[1]) if norm else NORM
+    wanted = Wanted.read(norm[2] if norm else text, _OPTION)
+    if SAME.get(wanted.name, wanted.name) == "strain_energy" and not wanted.part:
+        return _energy(problem)
+    kind = _COMPONENT.fullmatch(wanted.name)
+    component = None if kind is None or kind[2] is None else "xyz".index(kind[2])
+    if component is not None and component >= problem.body.dim:
+        raise InputError(
+            f"a plane body has no component '{wanted.name}'",
+            where=_OPTION,
+            expected=f"{wanted.name[:-1]}x or {wanted.name[:-1]}y",
+        )
+    if kind is not None and kind[1] == "reaction":
+        return _reaction(wanted, problem, component)
+    kinds = problem.body.kinds(wanted.part) if wanted.part else {"region"}
+    if (
+        kind is not None
+        and not wanted.reduction
+        and (wanted.part in probes or "region" not in kinds)
+    ):
+        if wanted.part in probes:
+            weights = _at(problem, probes[wanted.part])
+            return NodalFunctional(str(wanted), problem, weights, component)
+        if not kinds:
+            raise wanted.unknown("no part and no probe", wanted.part, _known(problem, probes))
+        if "surface" not in kinds:
+            return NodalFunctional(str(wanted), problem, _mean(problem, wanted.part), component)
+    wanted.check(problem.body, (), problem.constraints.labels)
+    return _of_field(wanted, problem, kinds, power)
+
+
+def _known(problem: Problem, probes: Mapping[str, Sequence[float]]) -> list[str]:
+    return [*probes, *(name for named in problem.body.parts.values() for name in named)]
+
+
+def _energy(problem: Problem) -> Functional:
+    form = problem.weak_form.strain_energy
+    if form is None:
+        raise InputError("a law has no strain energy", where=_OPTION, expected="another number")
+    return IntegralFunctional("strain_energy", "J", problem, form)
+
+
+def _reaction(wanted: Wanted, problem: Problem, component: int | None) -> Functional:
+    held = problem.constraints.labels
+    if not wanted.part or wanted.part not in held:
+        raise wanted.unknown("no support that prescribes displacements", wanted.part, held)
+    if problem.constraints.combined:
+        raise InputError(
+            f"'{wanted}' has no derivative here: supports along other directions than the axes, "
+            "or ties, share the forces",
+            where=_OPTION,
+            expected="a displacement, a stress or the strain energy",
+        )
+    own = problem.constraints.reaction_dofs[wanted.part]
+    entries = np.asarray(problem.unknowns.mixed_dofs(own), dtype=np.int32)
+    parts = np.asarray(own % problem.body.dim, dtype=np.int32)
+    return ReactionFunctional(str(wanted), problem, (entries, parts), component)
+
+
+def _at(problem: Problem, place: Sequence[float]) -> tuple[IndexArray, FloatArray]:
+    """Owned nodes around a point, and their shape functions there. Collective.
+
+    Nodes of its cell that another rank owns are told by the rank that has the cell.
+    """
+    comm, V = problem.body.comm, problem.V
+    point = locate(problem.body, {_OPTION: place})[_OPTION]
+    found: tuple[list[int], list[float]] = ([], [])
+    if point.cell >= 0:
+        table = V.element.basix_element.tabulate(0, point.local[None])[0, 0, :, 0]
+        nodes = V.dofmap.list[point.cell]
+        found = (V.dofmap.index_map.local_to_global(nodes).tolist(), table.tolist())
+    numbers, shapes = comm.bcast(found, root=point.rank)
+    first, last = V.dofmap.index_map.local_range
+    own = [k for k, number in enumerate(numbers) if first <= number < last]
+    return np.array([numbers[k] - first for k in own], dtype=np.int32), np.array(
+        [shapes[k] for k in own], dtype=np.float64
+    )
+
+
+def _mean(problem: Problem, part: str) -> tuple[IndexArray, FloatArray]:
+    """Owned nodes of edges or points with equal weights. Collective."""
+    nodes = part_nodes(problem.body, problem.V, part)
+    own = nodes[nodes < problem.V.dofmap.index_map.size_local]
+    return own, np.full(len(own), 1 / total(problem.body.comm, len(own)))
+
+
+def _of_field(wanted: Wanted, problem: Problem, kinds: Collection[str], power: int) -> Functional:
+    """A mean, an integral or a norm of a field."""
+    reduction = wanted.reduction or "max"
+    quantity = wanted.quantity
+    if reduction not in ("mean", "integral", "max") or wanted.name == "safety_factor":
+        raise InputError(
+            f"'{wanted}' has no derivative",
+            where=_OPTION,
+            expected="a mean, an integral, or the largest value, which a smooth norm stands for",
+        )
+    part, surface = wanted.part or None, "region" not in kinds
+    rows = _components(problem, quantity.name)
+    size = max((len(row) for row in rows if row), default=0)
+    if not size:
+        raise InputError(
+            f"'{quantity.name}' has no derivative",
+            where=_OPTION,
+            expected="displacement, stresses, strains or the energy density; "
+            + nearest(quantity.name, FIELDS),
+        )
+    number = quantity.component(size)
+    if number is None and not has_length(quantity.name, FIELDS[quantity.name]):
+        raise InputError(
+            f"'{wanted.name}' has several components",
+            where=_OPTION,
+            expected=f"such as '{component_names(quantity.name, size)[0]}'",
+        )
+
+    def chosen(row: Sequence[Expr]) -> Expr:
+        return row[number] if number is not None else ufl.sqrt(sum(one * one for one in row))
+
+    measures = _measures(problem, "surface" if surface else "region", part)
+    smooth = reduction == "max"
+    exponent = power if smooth else 1
+    form = sum(
+        (
+            (chosen(row) ** exponent if smooth else chosen(row)) * measure
+            for row, measure in zip(rows, measures, strict=True)
+            if row and measure is not None
+        ),
+        ufl.Form([]),
+    )
+    one = problem.constant(1.0)
+    whole = sum((one * measure for measure in measures if measure is not None), ufl.Form([]))
+    name = f"norm:{power} {wanted}".replace("max ", "") if smooth else str(wanted)
+    unit = FIELDS[quantity.name].unit
+    if reduction == "integral":
+        over = "m^2" if surface else "m^3"
+        return IntegralFunctional(name, f"{unit} {over}".strip(), problem, form)
+    return IntegralFunctional(name, unit, problem, form, power=exponent, size=whole)
+
+
+def _components(problem: Problem, name: str) -> list[list[Expr] | None]:
+    """Of a field in each material region; None: they have no formula in UFL."""
+    if name == "displacement":
+        u = problem.context.u
+        return [[u[i] for i in range(problem.body.dim)]] * len(problem.regions)
+    if FIELDS[name].formula is None or FIELDS[name].of_tensor is not None:
+        return [None] * len(problem.regions)
+    return [cell_components(problem, one, problem.w, [name])[0] for one in problem.regions]
+
+
+def _measures(problem: Problem, kind: str, part: str | None) -> list[WeightedMeasure | None]:
+    """The part in each material region as a measure; None where it has nothing of it."""
+    sides = sides_of(problem, kind, part)
+    data, here = [], []
+    for number, region in enumerate(problem.regions, start=1):
+        own = sides[np.isin(sides[:, 0], region.cells)]
+        cells = own.reshape(-1) if kind == "surface" else own[:, 0]
+        data.append((number, np.asarray(cells, dtype=np.int32)))
+        here.append(bool(total(problem.body.comm, len(own))))
+    over = ufl.Measure(
+        "ds" if kind == "surface" else "dx",
+        domain=problem.body.mesh,
+        subdomain_data=data,
+        metadata={"quadrature_degree": 2 * problem.context.order},
+    )
+    depth = None if problem.thickness == 1.0 else problem.constant(problem.thickness)
+    rho = weight(problem.geometry, problem.X, depth)
+    return [
+        WeightedMeasure(rho, over(number)) if found else None
+        for number, found in enumerate(here, start=1)
+    ]

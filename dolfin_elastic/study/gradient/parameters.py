@@ -1,0 +1,245 @@
+"""Parameters of an equilibrium: constants of materials, and any other number of a case.
+
+How a parameter changes the equations and the numbers at fixed unknowns is found by central
+differences of fourth order, which take evaluations but no solution: their error, of the order of
+the step to the fourth power, is 1e-12, and of what depends linearly on the parameter, as loads do,
+round-off.  What depends on all unknowns is exact, see `solvers.nonlinear.adjoint`.
+Source of the differences: B. Fornberg, Math. Comp. 51 (1988) 699, table 1.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from dolfinx.fem import Constant
+
+from dolfin_elastic.core.errors import InputError, nearest
+from dolfin_elastic.core.types import FloatArray
+from dolfin_elastic.core.units import number_and_unit
+from dolfin_elastic.model.amplitude import PROPORTIONAL
+from dolfin_elastic.problem.problem import Problem
+from dolfin_elastic.solvers.assembly.assembler import Assembler, out_of_balance
+from dolfin_elastic.solvers.nonlinear.newton import Newton, scalar_unknowns
+from dolfin_elastic.study.gradient.functionals import Functional
+
+if TYPE_CHECKING:
+    from dolfin_elastic.case.case import Case
+    from dolfin_elastic.mesh.body import Body
+
+STEP = 1e-3
+"""Of the differences, relative to the value, or to its distance from what is impossible."""
+WEIGHTS = {-2: 1 / 12, -1: -2 / 3, 1: 2 / 3, 2: -1 / 12}
+"""Of the values at so many steps from the present one."""
+_OPTION = "--by"
+
+
+@dataclass(frozen=True)
+class Sides:
+    """What depends on a parameter at fixed unknowns, or its derivative.
+
+    Attributes:
+        forces: Out-of-balance nodal forces, owned entries [N].
+        equations: Residuals of scalar unknowns.
+        numbers: The functionals.
+    """
+
+    forces: FloatArray
+    equations: FloatArray
+    numbers: FloatArray
+
+
+class Equilibrium:
+    """An equilibrium, and the numbers that are told of it.  All of it is collective.
+
+    Args:
+        newton: After the solve.
+        t: Load factor, or time.
+    """
+
+    def __init__(self, newton: Newton, functionals: Sequence[Functional], t: float) -> None:
+        self.newton, self.assembler, self.functionals = newton, newton.assembler, functionals
+        self.problem, self.t = newton.assembler.problem, t
+
+    def evaluated(self) -> Sides:
+        """All that depends on parameters, as they are now."""
+        residual, bordered = self.assembler.residual, self.newton.bordered
+        residual.assemble()
+        forces = residual.owned.copy()
+        equations = np.zeros(0) if bordered is None else bordered.scalars.residual(residual)
+        return Sides(forces, equations, self.numbers(forces))
+
+    def numbers(self, forces: FloatArray) -> FloatArray:
+        """The functionals at the problem's present unknowns.
+
+        Args:
+            forces: Out-of-balance nodal forces, owned entries [N].
+        """
+        return np.array([one.value(forces) for one in self.functionals])
+
+
+class Parameter(ABC):
+    """A number on which the equilibrium depends.
+
+    Attributes:
+        key: Dotted.
+        value: In `unit`.
+        unit: SI, or as the case has it; empty where it is not known.
+        step: Of the differences.
+    """
+
+    def __init__(self, key: str, value: float, unit: str, step: float) -> None:
+        self.key, self.value, self.unit, self.step = key, value, unit, step
+
+    @abstractmethod
+    def evaluated(self, equilibrium: Equilibrium, value: float) -> Sides:
+        """What depends on it, at the equilibrium's unknowns and another value. Collective."""
+
+    def derivative(self, equilibrium: Equilibrium) -> Sides:
+        """By the parameter, at fixed unknowns but those that it prescribes. Collective."""
+        parts = [
+            (weight / self.step, self.evaluated(equilibrium, self.value + k * self.step))
+            for k, weight in WEIGHTS.items()
+        ]
+        return Sides(
+            np.asarray(sum(w * side.forces for w, side in parts)),
+            np.asarray(sum(w * side.equations for w, side in parts)),
+            np.asarray(sum(w * side.numbers for w, side in parts)),
+        )
+
+
+class MaterialConstant(Parameter):
+    """A constant of a material, changed where it is.
+
+    Args:
+        constant: Of the forms.
+        room: Distance of its value from those that are impossible.
+    """
+
+    def __init__(self, key: str, constant: Constant, room: float) -> None:
+        value = float(constant.value)
+        super().__init__(key, value, "", STEP * min(abs(value) or room, room))
+        self._constant = constant
+
+    def evaluated(self, equilibrium: Equilibrium, value: float) -> Sides:
+        """See `Parameter`."""
+        self._constant.value = value
+        try:
+            return equilibrium.evaluated()
+        finally:
+            self._constant.value = self.value
+
+
+class CaseNumber(Parameter):
+    """Any other number of a case: the problem is made anew with it, on the same mesh.
+
+    Args:
+        case: With the number.
+        body: The mesh.
+    """
+
+    def __init__(self, key: str, case: Case, body: Body) -> None:
+        given = case.value_at(key)
+        read = number_and_unit(given)
+        if read is None:
+            raise InputError(
+                f"the case has {given!r} there, which is no number",
+                where=_OPTION,
+                expected="a key with a number, such as load[0].value[2] or materials.steel.E",
+            )
+        number, unit = read
+        super().__init__(key, number, unit, STEP * (abs(number) or _size_beside(case, key)))
+        self._case, self._body = case, body
+
+    def written(self, value: float) -> object:
+        """As the case takes it."""
+        return f"{value!r} {self.unit}" if self.unit else value
+
+    def evaluated(self, equilibrium: Equilibrium, value: float) -> Sides:
+        """See `Parameter`."""
+        changed = self._case.changed({self.key: self.written(value)}).make_problem(self._body)
+        here = equilibrium.problem
+        _take_state(changed, here, equilibrium.t)
+        bordered = equilibrium.newton.bordered
+        equations: FloatArray = np.zeros(0)
+        if bordered is None:
+            residual = out_of_balance(changed)
+            residual.move_prescribed()
+            residual.assemble()
+        else:
+            assembler = Assembler(changed)
+            scalars = scalar_unknowns(assembler)
+            assert scalars is not None
+            scalars.put(bordered.scalars.get())
+            residual = assembler.residual
+            residual.move_prescribed()
+            residual.assemble()
+            equations = scalars.residual(residual)
+            assembler.destroy()
+        start = here.w.x.array.copy()
+        here.w.x.array[:] = changed.w.x.array
+        here.unknowns.w_to_u()
+        try:
+            return Sides(residual.owned.copy(), equations, equilibrium.numbers(residual.owned))
+        finally:
+            here.w.x.array[:] = start
+            here.unknowns.w_to_u()
+
+
+def _take_state(changed: Problem, here: Problem, t: float) -> None:
+    """Puts a problem at the unknowns and the time of another one. Collective."""
+    for name, scale in here.unknowns.scale.items():
+        changed.unknowns.scale[name].value = scale.value
+    changed.set_time(t, default=PROPORTIONAL)
+    changed.w.x.array[:] = here.w.x.array
+    changed.unknowns.w_to_u()
+
+
+def _size_beside(case: Case, key: str) -> float:
+    """Size of a number that is 0: that of the largest in its row, or 1."""
+    row = case.value_at(key.rpartition("[")[0]) if key.endswith("]") else None
+    read = map(number_and_unit, row if isinstance(row, list | tuple) else ())
+    return max((abs(one[0]) for one in read if one is not None), default=0.0) or 1.0
+
+
+def parameters(keys: Sequence[str], problem: Problem, case: Case | None) -> list[Parameter]:
+    """Parameters by their keys. Collective.
+
+    Args:
+        keys: Dotted keys of the case; without one those of `Problem.parameters`.
+
+    Raises:
+        InputError: There is no such number, or no gradient by it.
+    """
+    return [_parameter(key, problem, case) for key in keys]
+
+
+def _parameter(key: str, problem: Problem, case: Case | None) -> Parameter:
+    known = problem.parameters
+    if key in known and not known[key].ufl_shape:
+        material, name = key.removeprefix("materials.").rsplit(".", 1)
+        region = next(one for one in problem.regions if one.name == material)
+        allowed = region.given.ranges().get(name)
+        value = float(known[key].value)
+        room = min(value - allowed.low, allowed.high - value) if allowed else np.inf
+        return MaterialConstant(key, known[key], room if np.isfinite(room) else abs(value) or 1.0)
+    if case is None:
+        raise InputError(
+            f"there is no parameter '{key}'", where=_OPTION, expected=nearest(key, known)
+        )
+    if key.startswith(("mesh.", "surfaces.", "regions.", "points.", "edges.")):
+        raise InputError(
+            f"'{key}' changes the mesh",
+            where=_OPTION,
+            expected="`sweep` for the mesh; --offset SURFACE for the shape",
+        )
+    if problem.contact_pairs or any(term.bars for term in problem.terms):
+        raise InputError(
+            f"with contact there are gradients by constants of materials alone, not by '{key}'",
+            where=_OPTION,
+            expected=nearest(key, known),
+        )
+    return CaseNumber(key, case, problem.body)

@@ -1,0 +1,206 @@
+"""Gradients by fields: by a constant of a material in each cell, and by the positions of nodes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import ufl
+from dolfinx import fem
+from ufl.core.expr import Expr
+
+from dolfin_elastic.core.errors import InputError, MeshError, nearest
+from dolfin_elastic.core.formula import Formula
+from dolfin_elastic.core.ghosts import assembled
+from dolfin_elastic.core.types import FloatArray
+from dolfin_elastic.model.loads import BodyForce, Force, Gravity, Pressure, Traction
+from dolfin_elastic.model.values import PLACE
+from dolfin_elastic.problem.constraints.normals import surface_normals
+from dolfin_elastic.problem.material_regions import MaterialRegion
+from dolfin_elastic.problem.problem import Problem
+from dolfin_elastic.solvers.assembly.assembler import Assembler, compiled, integral
+from dolfin_elastic.solvers.nonlinear.adjoint import AdjointState
+from dolfin_elastic.study.gradient.functionals import Functional
+from dolfin_elastic.study.gradient.parameters import STEP, WEIGHTS
+
+
+class _Field:
+    """The virtual work of all forces on an adjoint as a form.
+
+    Attributes:
+        adjoint: A function of all unknowns.
+        work: The form.
+    """
+
+    def __init__(self, assembler: Assembler) -> None:
+        self.assembler, self.problem = assembler, assembler.problem
+        self.adjoint = fem.Function(self.problem.W)
+        self.work = ufl.action(self.problem.weak_form.residual, self.adjoint)
+        self._forms: dict[str, fem.Form] = {}
+
+    def _take(self, adjoint: AdjointState, functional: Functional) -> None:
+        """Sets the adjoint, with the motion whose work the functional is. Collective."""
+        motion, values = functional.motion(), adjoint.fields.copy()
+        self.assembler.extend(values)
+        self.adjoint.x.array[: len(values)] = values + (0.0 if motion is None else motion)
+        self.adjoint.x.scatter_forward()
+
+    def _compiled(self, name: str, form: Callable[[], ufl.Form]) -> fem.Form:
+        if name not in self._forms:
+            self._forms[name] = compiled(self.problem, [form()])[0]
+        return self._forms[name]
+
+
+class CellConstant(_Field):
+    """A constant of one material as a field with a value in each of its cells.  Collective.
+
+    What the forces of a cell and the integrals over it are changes with its own value alone, so
+    that all cells are changed at once, by differences as in `parameters`.
+
+    Args:
+        key: Dotted, "materials.NAME.E"; a constant, or one that varies in space.
+
+    Raises:
+        InputError: There is no such constant.
+    """
+
+    def __init__(self, key: str, assembler: Assembler) -> None:
+        super().__init__(assembler)
+        self.key, (self.region, self._coefficient) = key, _coefficient(key, self.problem)
+        self._cells = fem.functionspace(self.problem.body.mesh, ("DG", 0))
+
+    def by_logarithm(self, adjoint: AdjointState, functional: Functional) -> FloatArray:
+        """dQ/d ln m of each owned cell, in the unit of Q; 0 in other materials. Collective.
+
+        Args:
+            adjoint: Of the functional.
+            functional: At the equilibrium.
+        """
+        self._take(adjoint, functional)
+        test = ufl.TestFunction(self._cells)
+        parts = [(1.0, self._compiled("work", lambda: _in_cells(self.work, test)))]
+        if (own := functional.form) is not None:
+            parts.append(
+                (functional.factor, self._compiled(functional.name, lambda: _in_cells(own, test)))
+            )
+        coefficient = self._coefficient
+        values = coefficient.x.array if isinstance(coefficient, fem.Function) else coefficient.value
+        start, result = values.copy(), np.zeros(len(self.problem.body.owned_cells()))
+        try:
+            for k, weight in WEIGHTS.items():
+                values[...] = start * (1 + k * STEP)
+                for factor, form in parts:
+                    result += weight / STEP * factor * assembled(form, self._cells)
+        finally:
+            values[...] = start
+        chosen = np.zeros(len(result), dtype=bool)
+        chosen[self.region.cells] = True
+        return np.where(chosen, result, 0.0)
+
+
+def _in_cells(form: ufl.Form, test: Expr) -> ufl.Form:
+    """An integral as a linear form whose entries are those over the cells."""
+    return ufl.Form([one.reconstruct(integrand=one.integrand() * test) for one in form.integrals()])
+
+
+def _coefficient(key: str, problem: Problem) -> tuple[MaterialRegion, fem.Constant | fem.Function]:
+    """The region of a constant, and what its law has in its place.
+
+    Raises:
+        InputError: There is none that is a number.
+    """
+    known = {
+        f"materials.{region.name}.{name}": (region, getattr(region.law, name, None))
+        for region in problem.regions
+        for name in [*region.constants, *region.given.spatial_constants()]
+    }
+    region, coefficient = known.get(key, (None, None))
+    scalar = isinstance(coefficient, fem.Constant | fem.Function) and not coefficient.ufl_shape
+    if region is None or not scalar:
+        raise InputError(
+            f"no material has a constant '{key}' that could vary from cell to cell",
+            where="--field",
+            expected=nearest(key, known),
+        )
+    return region, coefficient
+
+
+_SHAPED = (Traction, Force, Pressure, BodyForce, Gravity)
+"""Loads whose dependence on the positions of nodes is known."""
+
+
+class Shape(_Field):
+    """The positions of the nodes of the undeformed body.  Collective.
+
+    Attributes:
+        V: Space of the positions.
+
+    Raises:
+        InputError: Something depends on them in a way that is in no form.
+    """
+
+    key = "shape"
+
+    def __init__(self, assembler: Assembler) -> None:
+        super().__init__(assembler)
+        problem = self.problem
+        known = [
+            one
+            for one in problem.loads
+            if isinstance(one, _SHAPED)
+            and not any(isinstance(c, Formula) and c.names & PLACE for c in one.values)
+        ]
+        others: list[object] = [one for one in problem.loads if one not in known]
+        others += [*problem.terms, *([problem.cell] if problem.cell else [])]
+        if others or problem.constraints.combined or problem.unknowns.stabilised:
+            what = others[0] if others else "a tie, an oblique support or a stabilised pressure"
+            named = what if isinstance(what, str) else type(what).__name__
+            raise InputError(
+                f"there is no gradient by the shape with '{named}'",
+                where="--offset",
+                expected="tractions, total forces, pressures, gravity and fixed supports",
+            )
+        mesh = problem.body.mesh
+        degree = int(mesh.geometry.cmap.degree)
+        self.V = fem.functionspace(mesh, ("Lagrange", degree, (mesh.geometry.dim,)))
+        self._x, self._test = ufl.SpatialCoordinate(mesh), ufl.TestFunction(self.V)
+        # The traction of a total force is that over the area, which is a constant of the form.
+        loads = [(load, work) for load, work in problem.weak_form.works if type(load) is Force]
+        self._forces = [
+            compiled(problem, [ufl.action(work, self.adjoint), one, self._by(one)])
+            for load, work in loads
+            for one in [problem.constant(1.0) * problem.context.areas(load.parts)]
+        ]
+
+    def by_positions(self, adjoint: AdjointState, functional: Functional) -> FloatArray:
+        """dQ/dX at owned entries of `V` [Q's unit per m]. Collective."""
+        self._take(adjoint, functional)
+        result = assembled(self._compiled("work", lambda: self._by(self.work)), self.V)
+        for work, area, change in self._forces:
+            share = integral(self.problem, work) / integral(self.problem, area)
+            result += share * assembled(change, self.V)
+        if (own := functional.form) is not None:
+            own_change = self._compiled(functional.name, lambda: self._by(own))
+            result += functional.factor * assembled(own_change, self.V)
+        return result
+
+    def _by(self, form: ufl.Form) -> ufl.Form:
+        return ufl.derivative(form, self._x, self._test)
+
+    def offset(self, surface: str) -> FloatArray:
+        """Motion of owned nodes as a surface moves along its outward normal, of 1 m. Collective.
+
+        Nodes inside the body stay where they are.
+
+        Raises:
+            InputError: The body has no such surface, or it lies inside.
+        """
+        body, dim = self.problem.body, self.problem.body.dim
+        try:
+            normals = surface_normals(body, self.V, surface)
+        except MeshError as error:
+            raise InputError(error.what, where="--offset", expected=error.expected) from None
+        rows = np.zeros((self.V.dofmap.index_map.size_local, dim))
+        own = normals.nodes < len(rows)
+        rows[normals.nodes[own]] = normals.normals[own]
+        return rows.reshape(-1)
