@@ -19,7 +19,7 @@ from petsc4py import PETSc
 
 from dolfin_elastic.core.compat import petsc_errors
 from dolfin_elastic.core.errors import InputError
-from dolfin_elastic.core.parallel import total
+from dolfin_elastic.core.parallel import largest, total
 from dolfin_elastic.core.timing import stage
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.solvers.petsc.options import ksp_reason
@@ -30,6 +30,10 @@ if TYPE_CHECKING:
 DIGITS = 1e-10
 """Residual of an adjoint over its right-hand side: gradients are checked to 1e-6 and better."""
 _ITERATIONS, _RESTART = 2000, 60
+_UZAWA = 100
+"""Of Uzawa's iterations, each of which gains a digit or so."""
+_NEAR = 1e-7
+"""Of a cell's size, by which forces of contact are looked at beside an equilibrium."""
 
 
 @dataclass(frozen=True)
@@ -76,11 +80,12 @@ class Adjoint:
         self._iterations = 0
 
     @stage("adjoint")
-    def solve(self, derivative: FloatArray) -> AdjointState:
+    def solve(self, derivative: FloatArray, of_scalars: FloatArray) -> AdjointState:
         """The adjoint of a number. Collective.
 
         Args:
             derivative: dQ/dw, owned entries of all unknowns; a unit of Q per m.
+            of_scalars: dQ/ds.
 
         Raises:
             InputError: The linear solver has not converged.
@@ -95,12 +100,52 @@ class Adjoint:
                 self._rows = [self._inverse(row) for row in rows]
             inverses = np.array(self._rows)
             schur = bordered.corner.T - total(comm, columns @ inverses.T)
-            scalars = np.asarray(np.linalg.solve(schur, -total(comm, columns @ fields)))
+            right = -of_scalars - total(comm, columns @ fields)
+            scalars = np.asarray(np.linalg.solve(schur, right))
             fields = np.asarray(fields - scalars @ inverses)
         return AdjointState(fields, scalars, self._iterations)
 
     def _inverse(self, right: FloatArray) -> FloatArray:
-        """K^-T times what a vector has at free entries. Collective."""
+        """K^-T times what a vector has at free entries, along which contact holds. Collective.
+
+        Newton's K has the stiffness K_c by which contact resists, its pressures being what they
+        are.  But they follow, as multipliers do, so that nothing moves against it: Uzawa's
+        iteration K x_k = b - sum K_c x_j, j < k, finds that solution.
+        """
+        x = self._plain_inverse(right)
+        if not self._assembler.problem.contact_pairs:
+            return x
+        for _ in range(_UZAWA):
+            resisting = self._resistance(x)
+            right = right - resisting
+            before, x = x, self._plain_inverse(right)
+            change, size = total(
+                self._assembler.comm, np.array([np.sum((x - before) ** 2), np.sum(x**2)])
+            )
+            if change <= DIGITS**2 * size:
+                break
+        return x
+
+    def _resistance(self, x: FloatArray) -> FloatArray:
+        """K_c x: change of the forces of contact along a motion, by differences. Collective."""
+        assembler, problem = self._assembler, self._assembler.problem
+        longest = largest(assembler.comm, float(np.abs(x).max(initial=0.0)))
+        step = _NEAR * self._newton.cell_size / longest if longest else 0.0
+        others = [one.label for one in (*problem.springs, *problem.dashpots)]
+        start, sides = problem.w.x.array.copy(), []
+        moved = np.array(x)
+        assembler.extend(moved)
+        for sign in (1.0, -1.0):
+            problem.w.x.array[: len(moved)] = start[: len(moved)] + sign * step * moved
+            problem.w.x.scatter_forward()
+            problem.unknowns.w_to_u()
+            sides.append(assembler.reactions.restraints(others))
+        problem.w.x.array[:] = start
+        problem.unknowns.w_to_u()
+        return np.asarray((sides[1] - sides[0]) / (2 * step)) if step else np.zeros_like(x)
+
+    def _plain_inverse(self, right: FloatArray) -> FloatArray:
+        """The same without contact. Collective."""
         linear, options = self._newton.linear, self._newton.options
         self._x.array_w[:] = self._assembler.collect(right)
         self._assembler.remove_constrained(self._x)

@@ -122,10 +122,11 @@ class Gradients:
         try:
             values = here.evaluated().numbers
             sides = [one.derivative(here) for one in self._parameters]
+            of_scalars = here.by_scalars()
             here.evaluated()  # back, with the functionals linearised here
             self._make_fields(here)
             return tuple(
-                self._gradient(here, adjoint, number, float(value), sides)
+                self._gradient(here, adjoint, number, float(value), sides, of_scalars[number])
                 for number, value in enumerate(values)
             )
         finally:
@@ -143,11 +144,12 @@ class Gradients:
         number: int,
         value: float,
         sides: Sequence[Sides],
+        of_scalars: FloatArray,
     ) -> Gradient:
         functional = self._functionals[number]
         comm = self.problem.body.comm
         slope = functional.by_unknowns(here.assembler)
-        solution = adjoint.solve(slope)
+        solution = adjoint.solve(slope, of_scalars)
         by = []
         for parameter, side in zip(self._parameters, sides, strict=True):
             through = total(comm, float(solution.fields @ side.forces))
@@ -179,14 +181,14 @@ def _check(problem: Problem) -> None:
     Raises:
         InputError: The equilibrium depends on the way to it.
     """
-    why = ""
+    what = ""
     if problem.history is not None:
-        why = "materials that remember depend on all steps before"
+        what = "of materials that remember"
     elif problem.terms.dissipates or problem.terms.follows_path:
-        why = "friction depends on all steps before"
-    if why:
+        what = "with friction, which depends on all steps before"
+    if what:
         raise InputError(
-            f"{why}: there is no gradient from the last state alone",
+            f"there is no gradient {what}",
             where="gradient",
             expected="`sweep`, whose runs take the whole way",
         )

@@ -72,6 +72,25 @@ class Equilibrium:
         equations = np.zeros(0) if bordered is None else bordered.scalars.residual(residual)
         return Sides(forces, equations, self.numbers(forces))
 
+    def by_scalars(self) -> FloatArray:
+        """Derivatives of the functionals by scalar unknowns, shape (functionals, scalars)."""
+        residual, bordered = self.assembler.residual, self.newton.bordered
+        if bordered is None:
+            return np.zeros((len(self.functionals), 0))
+        scalars, columns = bordered.scalars, list[FloatArray]()
+        values = scalars.get()
+        for step in np.diag(scalars.steps):
+            sides = []
+            for sign in (1.0, -1.0):
+                scalars.put(values + sign * step)
+                residual.move_prescribed()
+                residual.assemble()
+                sides.append(self.numbers(residual.owned))
+            columns.append((sides[0] - sides[1]) / (2 * step.sum()))
+        scalars.put(values)
+        residual.move_prescribed()
+        return np.column_stack(columns)
+
     def numbers(self, forces: FloatArray) -> FloatArray:
         """The functionals at the problem's present unknowns.
 
@@ -220,9 +239,12 @@ def parameters(keys: Sequence[str], problem: Problem, case: Case | None) -> list
 def _parameter(key: str, problem: Problem, case: Case | None) -> Parameter:
     known = problem.parameters
     if key in known and not known[key].ufl_shape:
-        material, name = key.removeprefix("materials.").rsplit(".", 1)
-        region = next(one for one in problem.regions if one.name == material)
-        allowed = region.given.ranges().get(name)
+        allowed = next(
+            region.given.ranges().get(name)
+            for region in problem.regions
+            for name in region.constants
+            if key == f"materials.{region.name}.{name}"
+        )
         value = float(known[key].value)
         room = min(value - allowed.low, allowed.high - value) if allowed else np.inf
         return MaterialConstant(key, known[key], room if np.isfinite(room) else abs(value) or 1.0)

@@ -110,7 +110,10 @@ def _coefficient(key: str, problem: Problem) -> tuple[MaterialRegion, fem.Consta
         InputError: There is none that is a number.
     """
     known = {
-        f"materials.{region.name}.{name}": (region, getattr(region.law, name, None))
+        f"materials.{region.name}.{name}": (
+            region,
+            region.constants.get(name, getattr(region.law, name, None)),
+        )
         for region in problem.regions
         for name in [*region.constants, *region.given.spatial_constants()]
     }

@@ -1,0 +1,361 @@
+"""Gradients by adjoints against central differences of solutions, and Taylor's remainder."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import pytest
+import ufl
+from helpers.bodies import soft_and_hard
+from helpers.stacked import stacked
+from mpi4py import MPI
+
+from dolfin_elastic import (
+    Cavity,
+    Contact,
+    Energy,
+    Fixed,
+    Force,
+    LinearElastic,
+    MooneyRivlin,
+    NeoHookean,
+    Pressure,
+    Problem,
+    Spring,
+    Statics,
+    StVenantKirchhoff,
+    Support,
+    Tie,
+    Traction,
+    box_body,
+    rectangle_body,
+)
+from dolfin_elastic.case.case import Case
+from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.core.parallel import total
+from dolfin_elastic.study.gradient.gradient import Asked, Gradients, gradient
+from dolfin_elastic.study.gradient.parameters import Equilibrium
+
+COMM = MPI.COMM_WORLD
+STEP = 1e-3
+BEND, PULL = [0.0, 0.0, -2e4], [2e4, 0.0, 0.0]
+
+
+def box(**more: Any) -> Any:
+    return box_body(size=(2, 1, 1), cells=(4, 2, 2), **more)
+
+
+def fung(F: Any, mu: Any, b: Any) -> Any:
+    """An exponential energy in Python."""
+    C = F.T * F
+    return mu / (2 * b) * (ufl.exp(b * (ufl.tr(C) - 3 - 2 * ufl.ln(ufl.det(F)))) - 1)
+
+
+def held(law: Any, **more: Any) -> Problem:
+    given = {"loads": [Traction(on="right", value=BEND)], "degree": 1, **more}
+    return Problem(box(), law, supports=[Fixed(on="left")], **given)
+
+
+def inflated() -> Problem:
+    """A quarter of a tube around a given volume: the pressure is an unknown beside the fields."""
+    body = rectangle_body(size=(1, 1), cells=(3, 6))
+    radius, angle = 1 + body.mesh.geometry.x[:, 0], np.pi / 2 * body.mesh.geometry.x[:, 1]
+    body.mesh.geometry.x[:, 0] = radius * np.cos(angle)
+    body.mesh.geometry.x[:, 1] = radius * np.sin(angle)
+    symmetry = [
+        Support(on="bottom", displacement=["free", 0]),
+        Support(on="top", displacement=[0, "free"]),
+    ]
+    air = Cavity(on="left", volume_ratio=1.3, name="air")
+    return Problem(body, NeoHookean(E=1e6, nu=0.3), supports=symmetry, loads=[air], degree=1)
+
+
+def tied() -> Problem:
+    return Problem(
+        stacked(size=(1.0, 0.6), lower=(4, 3), upper=(5, 3)),
+        NeoHookean(E=1e6, nu=0.3),
+        supports=[Fixed(on="bottom")],
+        loads=[Traction(on="top", value=[5e4, 0.0])],
+        ties=[Tie(on="above", to="below")],
+        degree=1,
+    )
+
+
+def pressed() -> Problem:
+    """A block on a floor, without friction."""
+    return Problem(
+        box(),
+        NeoHookean(E=1e6, nu=0.3),
+        supports=[Support(on="left", displacement=[0, 0, "free"]), Fixed(on="right")],
+        loads=[Pressure(on="top", value=2e4)],
+        contacts=[
+            Contact(
+                on="bottom",
+                plane={"point": [0, 0, -0.01], "normal": [0, 0, 1]},
+                gap_tolerance=1e-10,
+            )
+        ],
+        degree=1,
+    )
+
+
+@dataclass(frozen=True)
+class Kind:
+    make: Callable[[], Problem]
+    of: tuple[str, ...]
+    by: tuple[str, ...] = ("E",)
+    tolerance: float = 1e-8
+    more: dict[str, Any] = field(default_factory=dict)
+
+
+FORCE = ("mean displacement_z on right", "strain_energy", "reaction_z of left")
+KINDS = {
+    "linear": Kind(
+        lambda: held(LinearElastic(E=1e6, nu=0.3)),
+        ("displacement_z of tip", "norm:8 von_mises", "mean pressure on top"),
+        ("E", "nu"),
+    ),
+    "st-venant-kirchhoff": Kind(lambda: held(StVenantKirchhoff(E=1e6, nu=0.3)), FORCE),
+    "neo-hookean": Kind(
+        lambda: held(NeoHookean(E=1e6, nu=0.3), degree=2),
+        ("mean displacement on right", "norm:8 von_mises on right", "integral energy_density"),
+        ("E", "nu"),
+    ),
+    "mooney-rivlin": Kind(lambda: held(MooneyRivlin(c10=1e5, c01=5e4, K=1e6)), FORCE, ("c10", "K")),
+    "energy of one's own": Kind(
+        lambda: held(Energy(fung, mu=4e5, b=0.7)), FORCE[:2], ("parameters.mu", "parameters.b")
+    ),
+    "incompressible": Kind(
+        lambda: held(NeoHookean(mu=3e5, nu=0.5), degree=2, loads=[Pressure(on="top", value=1e4)]),
+        ("mean displacement_z on right", "strain_energy", "norm:8 von_mises"),
+        ("mu",),
+    ),
+    "follower pressure": Kind(
+        lambda: held(NeoHookean(E=1e6, nu=0.3), loads=[Pressure(on="top", value=1e4)]), FORCE
+    ),
+    "tie": Kind(tied, ("mean displacement_x on top", "strain_energy")),
+    "cavity": Kind(
+        inflated,
+        ("mean displacement on right", "strain_energy", "reaction_y of bottom"),
+        ("E", "nu"),
+    ),
+    "contact": Kind(pressed, ("mean displacement_z on top", "strain_energy"), tolerance=1e-7),
+    "spring": Kind(
+        lambda: Problem(
+            box(),
+            NeoHookean(E=1e6, nu=0.3),
+            supports=[Spring(on="left", normal=1e6, tangential=1e6)],
+            loads=[Traction(on="right", value=PULL)],
+            degree=1,
+        ),
+        FORCE[:2],
+    ),
+}
+
+
+def solved(problem: Problem, asked: Asked, found: list[Any], *, gradients: bool) -> None:
+    """Appends the gradients, or the numbers alone, of the last state."""
+    solver, probes = Statics(problem, rtol=1e-12), {"tip": [2.0, 0.4, 0.3][: problem.body.dim]}
+    every = Gradients(asked, problem, None, probes)
+
+    def look(newton: Any, state: Any) -> None:
+        if state.done < 1.0:
+            return
+        if gradients:
+            found.extend(every.at(newton, state))
+        else:
+            found.append(Equilibrium(newton, every._functionals, state.t).evaluated().numbers)
+
+    solver.observer = look
+    for _ in solver.steps():
+        pass
+
+
+def numbers(kind: Kind, key: str, factor: float) -> np.ndarray:
+    """Of the solution with another value of a constant."""
+    problem, found = kind.make(), []
+    problem.parameters[key].value = float(problem.parameters[key].value) * factor
+    solved(problem, Asked(kind.of), found, gradients=False)
+    return np.array(found[-1])
+
+
+@pytest.mark.parametrize("name", KINDS)
+def test_constants(name: str) -> None:
+    """Central differences of fourth order of solutions, whose errors are 1e-9 of the numbers.
+
+    Taylor's remainder of a step h falls like h^2: the slope is 2, to what the next term leaves.
+    """
+    kind, found = KINDS[name], list[Any]()
+    keys = [f"materials.body.{one}" for one in kind.by]
+    solved(kind.make(), Asked(kind.of, keys, keys[:1]), found, gradients=True)
+    here = np.array([one.value for one in found])
+    for number, key in enumerate(keys):
+        values = {k: numbers(kind, key, 1 + k * STEP) for k in (-2, -1, 1, 2)}
+        slopes = (8 * (values[1] - values[-1]) - (values[2] - values[-2])) / (12 * STEP)
+        told = np.array([one.by[number].at * one.by[number].value for one in found])
+        np.testing.assert_allclose(
+            told, slopes, atol=kind.tolerance * np.abs(here).max(), rtol=1e-6
+        )
+        np.testing.assert_allclose(told / here, slopes / here, atol=20 * kind.tolerance)
+        remainders = [np.abs(values[k] - here - k * STEP * told) / np.abs(here) for k in (1, 2)]
+        for small, large in zip(*remainders, strict=True):
+            assert large < 1e-9 or np.log2(large / small) == pytest.approx(2.0, abs=0.05)
+    for one in found:  # all cells together are the constant
+        whole = total(COMM, float(one.cells[keys[0]].sum()))
+        assert whole == pytest.approx(
+            one.by[0].at * one.by[0].value, rel=1e-7, abs=1e-9 * abs(one.value)
+        )
+
+
+# --- loads, supports and the shape ---
+
+TABLES: dict[str, Any] = {
+    "mesh": {"box": {"size": [2, 1, 1], "cells": [4, 2, 2]}, "degree": 1},
+    "materials": {"gel": {"law": "neo-hookean", "E": "1 MPa", "nu": 0.3, "density": 1000}},
+    "support": [{"on": "left"}, {"on": "right", "displacement": ["free", "free", "5 cm"]}],
+    "load": [
+        {"on": "top", "kind": "pressure", "value": "20 kPa"},
+        {"on": "right", "kind": "traction", "value": ["10 kPa", 0, 0]},
+        {"kind": "gravity", "value": [0, 0, -9.81]},
+    ],
+    "statics": {"rtol": 1e-12},
+}
+KEYS = {
+    "load[0].value": (20.0, "kPa"),
+    "load[1].value[1]": (0.0, ""),
+    "support[1].displacement[2]": (5.0, "cm"),
+    "materials.gel.density": (1000.0, ""),
+}
+
+
+@pytest.mark.parametrize("key", KEYS)
+def test_other_keys_of_a_case(key: str) -> None:
+    """The problem is made anew with them; supports move what they prescribe."""
+    case, (value, unit) = Case.from_dict(TABLES), KEYS[key]
+    of = ["mean displacement_x on top", "strain_energy", "reaction_z of left"]
+    here = gradient(case, of, [key])
+    (step,) = {one.by[0].at * STEP or 10.0 for one in here}
+
+    def at(k: int) -> np.ndarray:
+        text = value + k * step
+        changed = case.changed({key: f"{text!r} {unit}" if unit else text})
+        return np.array([one.value for one in gradient(changed, of)])
+
+    slopes = (8 * (at(1) - at(-1)) - (at(2) - at(-2))) / (12 * step)
+    told = np.array([one.by[0].value for one in here])
+    np.testing.assert_allclose(told, slopes, rtol=1e-6)
+
+
+SHAPES = {
+    "force": ({"on": "right", "kind": "force", "value": [0, 0, "-20 kN"]}, 1),
+    "pressure": ({"on": "top", "kind": "pressure", "value": "10 kPa"}, 2),
+}
+
+
+@pytest.mark.parametrize("name", SHAPES)
+def test_shape(name: str) -> None:
+    """A surface moves along its normal: nodes are moved by hand, and the problem is solved anew."""
+    load, degree = SHAPES[name]
+    of = [
+        "mean displacement_z on right",
+        "strain_energy",
+        "norm:8 von_mises",
+        "displacement of tip",
+    ]
+    tables = {
+        **TABLES,
+        "mesh": {**TABLES["mesh"], "degree": degree},
+        "support": [{"on": "left"}],
+        "load": [load],
+        "output": {"probes": {"tip": [2, 0.5, 0.5]}},
+    }
+    case = Case.from_dict(tables)
+
+    def at(distance: float, offsets: tuple[str, ...] = ()) -> Any:
+        body = case.read_body(COMM)
+        x = body.mesh.geometry.x
+        x[np.isclose(x[:, 2], 1.0), 2] += distance
+        return gradient(case, of, offsets=offsets, body=body)
+
+    def values(distance: float) -> np.ndarray:
+        return np.array([one.value for one in at(distance)])
+
+    found = at(0.0, ("top",))
+    told = np.array([one.by[0].value for one in found])
+    slopes = (8 * (values(STEP) - values(-STEP)) - (values(2 * STEP) - values(-2 * STEP))) / (
+        12 * STEP
+    )
+    np.testing.assert_allclose(told, slopes, rtol=1e-7)
+    for one in found:
+        assert one.nodes is not None
+        assert one.nodes.shape[1] == 3
+
+
+def test_cells() -> None:
+    """A constant in one cell: the law has an array of values in its place."""
+    of, where = Asked(["strain_energy"], fields=["materials.body.E"]), 3
+    body, found = box(), list[Any]()
+
+    def problem(factor: float) -> Problem:
+        values = np.full(len(body.owned_cells()), 1e6)
+        if COMM.rank == 0:
+            values[where] *= factor
+        return Problem(
+            body,
+            NeoHookean(E=values, nu=0.3),
+            supports=[Fixed(on="left")],
+            loads=[Traction(on="right", value=BEND)],
+            degree=1,
+        )
+
+    solved(problem(1.0), of, found, gradients=True)
+    told = COMM.bcast(found[0].cells["materials.body.E"][where] if COMM.rank == 0 else None)
+    sides = list[Any]()
+    for factor in (1 + STEP, 1 - STEP):
+        solved(problem(factor), Asked(["strain_energy"]), sides, gradients=False)
+    assert told == pytest.approx((sides[0][0] - sides[1][0]) / (2 * STEP), rel=1e-6)
+
+
+# --- what is refused ---
+
+
+def refused(of: str, by: str = "", **more: Any) -> str:
+    tables = {**TABLES, **more}
+    with pytest.raises(InputError) as error:
+        gradient(Case.from_dict(tables), [of], [by] if by else [])
+    return str(error.value)
+
+
+def test_what_has_no_derivative() -> None:
+    assert "'percentile:95 von_mises on right' has no derivative" in refused(
+        "percentile:95 von_mises on right"
+    )
+    assert "did you mean 'left'" in refused("reaction_x of lefft")
+    assert "did you mean" in refused("mean von_mises on rigth")
+    assert "changes the mesh" in refused("strain_energy", "mesh.box.size[0]")
+    assert "known: E, density" in refused("strain_energy", "materials.gel.F")
+    viscous = {"gel": {**TABLES["materials"]["gel"], "viscous": [{"ratio": 0.5, "time": 1.0}]}}
+    remembers = refused("strain_energy", materials=viscous, statics={"steps": 2})
+    assert "materials that remember" in remembers
+
+
+def test_two_materials() -> None:
+    """Each has cells of its own."""
+    problem = Problem(
+        soft_and_hard(box(), at=1.0),
+        {"soft": NeoHookean(E=1e6, nu=0.3), "hard": LinearElastic(E=3e6, nu=0.2)},
+        supports=[Fixed(on="left")],
+        loads=[Force(on="right", value=BEND)],
+        degree=1,
+    )
+    keys, found = ["materials.soft.E", "materials.hard.E"], list[Any]()
+    solved(problem, Asked(["strain_energy"], keys, keys), found, gradients=True)
+    for one in found[0].by:
+        whole = total(COMM, float(found[0].cells[one.key].sum()))
+        assert whole == pytest.approx(one.at * one.value, rel=1e-9)
+    # Homogeneous of degree -1 in both stiffnesses at small strains: W(s E) = W(E)/s.
+    both = sum(one.at * one.value for one in found[0].by)
+    assert both < 0.0
