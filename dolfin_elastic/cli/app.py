@@ -25,6 +25,7 @@ from typer.core import TyperCommand, TyperGroup
 
 from dolfin_elastic.cli.converge import converge
 from dolfin_elastic.cli.fit import fit
+from dolfin_elastic.cli.gradient import gradient
 from dolfin_elastic.cli.import_deck import import_deck
 from dolfin_elastic.cli.look.command import look
 from dolfin_elastic.cli.materials import material, materials
@@ -114,6 +115,8 @@ HELP = """Deformable elastic bodies on DOLFINx and PETSc, on any number of cores
                                             refine the mesh until it is known so well
   dolfin-elastic sweep beam.toml --set mesh.size="4 mm,2 mm"
                                             the same with other values, in one table
+  dolfin-elastic gradient beam.toml --of "displacement_z of tip" --by materials.steel.E
+                                            how a result changes with a number, or with the shape
   dolfin-elastic convert wing.msh wing.xdmf a large mesh, for many cores to read in parallel
   dolfin-elastic import part.inp            a case file of a deck of another program
   dolfin-elastic verify                     known results, computed on this installation
@@ -203,6 +206,7 @@ app.command(cls=Verb)(look)
 app.command(cls=Verb)(run)
 app.command(cls=Verb)(converge)
 app.command(cls=Verb)(sweep)
+app.command(cls=Verb)(gradient)
 app.command(cls=Verb)(restart)
 app.command(cls=Verb)(plot)
 app.command(cls=Verb, context_settings={"allow_extra_args": True, "ignore_unknown_options": True})(

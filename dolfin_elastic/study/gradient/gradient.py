@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from contextlib import closing
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from mpi4py import MPI
@@ -21,7 +21,9 @@ from dolfin_elastic.solvers.nonlinear.newton import Newton
 from dolfin_elastic.solvers.statics.statics import Statics
 from dolfin_elastic.study.gradient.functionals import functionals
 from dolfin_elastic.study.gradient.parameters import Equilibrium, Sides, parameters
-from dolfin_elastic.study.gradient.spatial import CellConstant, Shape
+from dolfin_elastic.study.gradient.spatial import OFFSET, CellConstant, Shape
+from dolfin_elastic.study.gradient.table import Derivative, Gradient, GradientTable
+from dolfin_elastic.study.gradient.taylor import with_orders
 
 if TYPE_CHECKING:
     from dolfin_elastic.mesh.body import Body
@@ -42,47 +44,6 @@ class Asked:
     by: Sequence[str] = ()
     fields: Sequence[str] = ()
     offsets: Sequence[str] = ()
-
-
-@dataclass(frozen=True)
-class Derivative:
-    """Of one number by one parameter.
-
-    Attributes:
-        key: Of the parameter.
-        at: The parameter's value.
-        unit: Of the parameter.
-        value: dQ/dm, unit of Q over that of the parameter.
-    """
-
-    key: str
-    at: float
-    unit: str
-    value: float
-
-
-@dataclass(frozen=True)
-class Gradient:
-    """Of one number.
-
-    Attributes:
-        name: What it is.
-        value: Of it.
-        unit: SI.
-        by: Its derivatives.
-        cells: Key of a constant to dQ/d ln m of each owned cell, in the unit of Q.
-        nodes: dQ/dX at the owned nodes of the mesh's geometry, shape (nodes, dim), unit of Q per m;
-            None where no surface moves.
-        iterations: Of the adjoint's linear solver.
-    """
-
-    name: str
-    value: float
-    unit: str
-    by: tuple[Derivative, ...]
-    cells: Mapping[str, FloatArray] = field(default_factory=dict)
-    nodes: FloatArray | None = None
-    iterations: int = 0
 
 
 class Gradients:
@@ -168,8 +129,8 @@ class Gradients:
             slopes = self._shape.by_positions(solution, functional)
             for surface in self._asked.offsets:
                 along = total(comm, float(slopes @ self._shape.offset(surface)))
-                by.append(Derivative(f"offset of {surface}", 0.0, "m", along))
-            nodes = slopes.reshape(-1, self.problem.body.dim)
+                by.append(Derivative(f"{OFFSET}{surface}", 0.0, "m", along))
+            nodes = self._shape.at_nodes(slopes)
         return Gradient(
             functional.name, value, functional.unit, tuple(by), cells, nodes, solution.iterations
         )
@@ -194,32 +155,38 @@ def _check(problem: Problem) -> None:
         )
 
 
-def gradient(
+@dataclass(frozen=True)
+class Found:
+    """Gradients of a case, and the state that they belong to.
+
+    Attributes:
+        gradients: One for each number.
+        problem: With the state in its unknowns.
+        state: At the end of the load.
+    """
+
+    gradients: tuple[Gradient, ...]
+    problem: Problem
+    state: State
+
+
+def gradients_of(
     case: Case,
-    of: Sequence[str],
-    by: Sequence[str] = (),
+    asked: Asked,
     *,
-    fields: Sequence[str] = (),
-    offsets: Sequence[str] = (),
     body: Body | None = None,
     petsc: PetscOptions | None = None,
+    verify: bool = False,
     comm: MPI.Comm = MPI.COMM_WORLD,
-) -> tuple[Gradient, ...]:
-    """Derivatives of numbers of the last state of a case's statics. Collective.
+) -> Found:
+    """Solves the statics of a case, with gradients of its last state. Collective.
 
     Args:
         case: From `read_case`.
-        of: Numbers, such as "displacement_z of tip", "reaction_x of left", "strain_energy",
-            "mean von_mises on fillet" or "von_mises on fillet", for which a smooth norm stands.
-        by: Dotted keys of numbers of the case.
-        fields: Keys of constants of materials whose values in all cells are parameters.
-        offsets: Surfaces that move along their normals.
         body: The mesh, if it is read already.
         petsc: PETSc options that win over the case's own.
+        verify: Solve twice more for each parameter, for Taylor's remainders.
         comm: The ranks that work together.
-
-    Returns:
-        One for each number.
 
     Raises:
         InputError: The case is wrong, or there is no such derivative.
@@ -233,22 +200,74 @@ def gradient(
             expected="`sweep` for other analyses",
         )
     body = case.read_body(comm) if body is None else body
-    problem = case.make_problem(body)
-    asked = Asked(tuple(of), tuple(by), tuple(fields), tuple(offsets))
-    result: list[tuple[Gradient, ...]] = []
+    found, only = _solved(case, asked, body, petsc), Asked(asked.of)
+    if not verify:
+        return found
+
+    def values(changed: Case) -> list[float]:
+        return [one.value for one in _solved(changed, only, body, petsc).gradients]
+
+    return replace(found, gradients=with_orders(found.gradients, case, body, values))
+
+
+def _solved(case: Case, asked: Asked, body: Body, petsc: PetscOptions | None) -> Found:
+    """One solution with its gradients. Collective."""
+    problem, found = case.make_problem(body), list[Found]()
+    with locate_errors(case.file):
+        gradients = Gradients(asked, problem, case, places_of_probes(case, body))
     solver = case.make_solver(problem, petsc=petsc)
     assert isinstance(solver, Statics)
-    gradients = Gradients(asked, problem, case, places_of_probes(case, body))
 
     def look(newton: Newton, state: State) -> None:
         if state.done >= 1.0:
-            result.append(gradients.at(newton, state))
+            found.append(Found(gradients.at(newton, state), problem, state))
 
     solver.observer = look
     with locate_errors(case.file), closing(solver.steps()) as steps:
         for _ in steps:
             pass
-    return result[-1]
+    return found[-1]
+
+
+def gradient(
+    case: Case,
+    of: Sequence[str],
+    by: Sequence[str] = (),
+    *,
+    fields: Sequence[str] = (),
+    offsets: Sequence[str] = (),
+    body: Body | None = None,
+    petsc: PetscOptions | None = None,
+    verify: bool = False,
+    comm: MPI.Comm = MPI.COMM_WORLD,
+) -> GradientTable:
+    """Derivatives of numbers of the last state of a case's statics. Collective.
+
+        table = gradient(case, ["displacement_z of tip"], ["materials.gel.E", "load[0].value[2]"])
+        table["displacement_z of tip"]["materials.gel.E"].value
+
+    Args:
+        case: From `read_case`.
+        of: Numbers, such as "displacement_z of tip", "reaction_x of left", "strain_energy",
+            "mean von_mises on fillet" or "von_mises on fillet", for which a smooth norm stands.
+        by: Dotted keys of numbers of the case.
+        fields: Keys of constants of materials whose values in all cells are parameters.
+        offsets: Surfaces that move along their normals.
+        body: The mesh, if it is read already.
+        petsc: PETSc options that win over the case's own.
+        verify: Also solve twice more for each parameter, for Taylor's remainders.
+        comm: The ranks that work together.
+
+    Returns:
+        One gradient for each number, a table of all.
+
+    Raises:
+        InputError: The case is wrong, or there is no such derivative.
+        SolveError: No solution was found.
+    """
+    asked = Asked(tuple(of), tuple(by), tuple(fields), tuple(offsets))
+    found = gradients_of(case, asked, body=body, petsc=petsc, verify=verify, comm=comm)
+    return GradientTable(found.gradients)
 
 
 def places_of_probes(case: Case, body: Body) -> dict[str, list[float]]:

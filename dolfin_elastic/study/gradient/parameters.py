@@ -106,7 +106,7 @@ class Parameter(ABC):
     Attributes:
         key: Dotted.
         value: In `unit`.
-        unit: SI, or as the case has it; empty where it is not known.
+        unit: As the case has it; empty of pure numbers, and of bare ones.
         step: Of the differences.
     """
 
@@ -134,22 +134,28 @@ class MaterialConstant(Parameter):
     """A constant of a material, changed where it is.
 
     Args:
-        constant: Of the forms.
+        constant: Of the forms, in SI units.
         room: Distance of its value from those that are impossible.
+        written: Number and unit that the case has for it; None: those of the constant.
     """
 
-    def __init__(self, key: str, constant: Constant, room: float) -> None:
+    def __init__(
+        self, key: str, constant: Constant, room: float, written: tuple[float, str] | None
+    ) -> None:
         value = float(constant.value)
-        super().__init__(key, value, "", STEP * min(abs(value) or room, room))
+        number, unit = written or (value, "")
+        self._size = value / number if number else 1.0
+        super().__init__(key, number, unit, STEP * min(abs(value) or room, room) / self._size)
         self._constant = constant
 
     def evaluated(self, equilibrium: Equilibrium, value: float) -> Sides:
         """See `Parameter`."""
-        self._constant.value = value
+        present = float(self._constant.value)
+        self._constant.value = value * self._size
         try:
             return equilibrium.evaluated()
         finally:
-            self._constant.value = self.value
+            self._constant.value = present
 
 
 class CaseNumber(Parameter):
@@ -217,6 +223,14 @@ def _take_state(changed: Problem, here: Problem, t: float) -> None:
     changed.unknowns.w_to_u()
 
 
+def _written(case: Case | None, key: str) -> tuple[float, str] | None:
+    """Number and unit of a constant in a case; None: it has none there."""
+    try:
+        return None if case is None else number_and_unit(case.value_at(key))
+    except InputError:  # a default, or another name of the same
+        return None
+
+
 def _size_beside(case: Case, key: str) -> float:
     """Size of a number that is 0: that of the largest in its row, or 1."""
     row = case.value_at(key.rpartition("[")[0]) if key.endswith("]") else None
@@ -247,7 +261,8 @@ def _parameter(key: str, problem: Problem, case: Case | None) -> Parameter:
         )
         value = float(known[key].value)
         room = min(value - allowed.low, allowed.high - value) if allowed else np.inf
-        return MaterialConstant(key, known[key], room if np.isfinite(room) else abs(value) or 1.0)
+        room = room if np.isfinite(room) else abs(value) or 1.0
+        return MaterialConstant(key, known[key], room, _written(case, key))
     if case is None:
         raise InputError(
             f"there is no parameter '{key}'", where=_OPTION, expected=nearest(key, known)

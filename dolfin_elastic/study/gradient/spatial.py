@@ -13,6 +13,7 @@ from dolfin_elastic.core.errors import InputError, MeshError, nearest
 from dolfin_elastic.core.formula import Formula
 from dolfin_elastic.core.ghosts import assembled
 from dolfin_elastic.core.types import FloatArray
+from dolfin_elastic.mesh.body import Body
 from dolfin_elastic.model.loads import BodyForce, Force, Gravity, Pressure, Traction
 from dolfin_elastic.model.values import PLACE
 from dolfin_elastic.problem.constraints.normals import surface_normals
@@ -191,19 +192,58 @@ class Shape(_Field):
         return ufl.derivative(form, self._x, self._test)
 
     def offset(self, surface: str) -> FloatArray:
-        """Motion of owned nodes as a surface moves along its outward normal, of 1 m. Collective.
+        """`nodes_moved` at owned entries of `V`. Collective.
 
-        Nodes inside the body stay where they are.
-
-        Raises:
-            InputError: The body has no such surface, or it lies inside.
+        Args:
+            surface: See there.
         """
-        body, dim = self.problem.body, self.problem.body.dim
-        try:
-            normals = surface_normals(body, self.V, surface)
-        except MeshError as error:
-            raise InputError(error.what, where="--offset", expected=error.expected) from None
-        rows = np.zeros((self.V.dofmap.index_map.size_local, dim))
-        own = normals.nodes < len(rows)
-        rows[normals.nodes[own]] = normals.normals[own]
-        return rows.reshape(-1)
+        motion = nodes_moved(self.problem.body, surface)
+        mesh = self.problem.body.mesh
+        rows = np.zeros((self.V.dofmap.index_map.size_local + self._ghosts, self.problem.body.dim))
+        rows[self.V.dofmap.list] = motion[mesh.geometry.dofmap]
+        return rows[: self.V.dofmap.index_map.size_local].reshape(-1)
+
+    @property
+    def _ghosts(self) -> int:
+        return int(self.V.dofmap.index_map.num_ghosts)
+
+    def at_nodes(self, entries: FloatArray) -> FloatArray:
+        """Owned entries of `V` at the local nodes of the geometry, ghosts included. Collective."""
+        rows = fem.Function(self.V)
+        rows.x.array[: len(entries)] = entries
+        rows.x.scatter_forward()
+        mesh, dim = self.problem.body.mesh, self.problem.body.dim
+        result = np.zeros((len(mesh.geometry.x), dim))
+        result[mesh.geometry.dofmap] = rows.x.array.reshape(-1, dim)[self.V.dofmap.list]
+        return result
+
+
+OFFSET = "offset of "
+"""Begins the name of the parameter by which a surface moves along its normal [m]."""
+
+
+def nodes_moved(body: Body, surface: str) -> FloatArray:
+    """Motion of nodes as a surface moves along its outward normal by 1 m. Collective.
+
+    Nodes inside the body stay where they are.
+
+    Args:
+        surface: Its name.
+
+    Returns:
+        At the local nodes of the geometry, ghosts included, shape (nodes, dim).
+
+    Raises:
+        InputError: The body has no such surface, or it lies inside.
+    """
+    mesh, dim = body.mesh, body.dim
+    V = fem.functionspace(mesh, ("Lagrange", int(mesh.geometry.cmap.degree), (dim,)))
+    try:
+        normals = surface_normals(body, V, surface)
+    except MeshError as error:
+        raise InputError(error.what, where="--offset", expected=error.expected) from None
+    rows = np.zeros((V.dofmap.index_map.size_local + V.dofmap.index_map.num_ghosts, dim))
+    rows[normals.nodes] = normals.normals
+    result = np.zeros((len(mesh.geometry.x), dim))
+    result[mesh.geometry.dofmap] = rows[V.dofmap.list]
+    return result

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from functools import cached_property
-from html import escape
 from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -28,6 +25,7 @@ from dolfin_elastic.study.sweep.numbers import unit_of
 from dolfin_elastic.study.sweep.rows import Row
 from dolfin_elastic.study.sweep.settings import Design, short_names, worded
 from dolfin_elastic.study.sweep.statistics import Statistics, statistics
+from dolfin_elastic.study.tabled import Tabled, csv_text
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -44,7 +42,7 @@ _INK = ("#1f5f8b", "#b0562f", "#228833", "#7a3e9d", "#c79a00", "#444444", "#0f9d
 
 
 @dataclass(frozen=True)
-class Results:
+class Results(Tabled):
     """The rows of a sweep, all or those so far.
 
     Attributes:
@@ -158,24 +156,6 @@ class Results:
             for (name, text), of in runs.items()
         ]
 
-    def frame(self) -> Mapping[str, object]:
-        """The table as a pandas DataFrame, where pandas is there; else `columns`."""
-        try:
-            from pandas import DataFrame  # type: ignore[import-untyped]
-        except ImportError:
-            return self.columns()
-        return DataFrame(self.columns())
-
-    def _repr_html_(self) -> str:
-        columns = self.columns()
-        head = "".join(f"<th>{escape(name)}</th>" for name in columns)
-        rows = (
-            "".join(f"<td>{escape(str(_cell(value)))}</td>" for value in row)
-            for row in zip(*columns.values(), strict=True)
-        )
-        body = "".join(f"<tr>{row}</tr>" for row in rows)
-        return f"<table><tr>{head}</tr>{body}</table>"
-
     def plot(self, file: str | PathLike[str]) -> None:
         """Draws each result over what varies most. Not collective.
 
@@ -224,29 +204,11 @@ def write_table(results: Results, *, plot: bool) -> None:
         OutputError: They cannot be written.
     """
     folder = results.folder
-    replace_text(folder / TABLE, _csv(results))
+    replace_text(folder / TABLE, csv_text(results.columns()))
     text = json.dumps(json_data(_summary(results)), indent=2, allow_nan=False, default=str)
     replace_text(folder / SUMMARY, text + "\n")
     if plot and any(row.numbers for row in results.rows):
         draw(results, folder / PLOT)
-
-
-def _csv(results: Results) -> str:
-    """One row a run; nothing where a number is not known."""
-    columns, text = results.columns(), io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(columns)
-    for row in zip(*columns.values(), strict=True):
-        writer.writerow([_cell(value) for value in row])
-    return text.getvalue()
-
-
-def _cell(value: object) -> object:
-    if isinstance(value, str):
-        return "; ".join(line.strip() for line in value.splitlines())
-    if isinstance(value, float):
-        return f"{value:.12g}" if math.isfinite(value) else ""
-    return value
 
 
 def _summary(results: Results) -> dict[str, object]:

@@ -237,15 +237,15 @@ def test_other_keys_of_a_case(key: str) -> None:
     case, (value, unit) = Case.from_dict(TABLES), KEYS[key]
     of = ["mean displacement_x on top", "strain_energy", "reaction_z of left"]
     here = gradient(case, of, [key])
-    (step,) = {one.by[0].at * STEP or 10.0 for one in here}
+    (step,) = {one.by[0].at * STEP or 10.0 for one in here.gradients}
 
     def at(k: int) -> np.ndarray:
         text = value + k * step
         changed = case.changed({key: f"{text!r} {unit}" if unit else text})
-        return np.array([one.value for one in gradient(changed, of)])
+        return np.array([one.value for one in gradient(changed, of).gradients])
 
     slopes = (8 * (at(1) - at(-1)) - (at(2) - at(-2))) / (12 * step)
-    told = np.array([one.by[0].value for one in here])
+    told = np.array([one.by[0].value for one in here.gradients])
     np.testing.assert_allclose(told, slopes, rtol=1e-6)
 
 
@@ -278,7 +278,7 @@ def test_shape(name: str) -> None:
         body = case.read_body(COMM)
         x = body.mesh.geometry.x
         x[np.isclose(x[:, 2], 1.0), 2] += distance
-        return gradient(case, of, offsets=offsets, body=body)
+        return gradient(case, of, offsets=offsets, body=body).gradients
 
     def values(distance: float) -> np.ndarray:
         return np.array([one.value for one in at(distance)])

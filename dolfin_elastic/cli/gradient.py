@@ -1,0 +1,136 @@
+"""The command `gradient`: its options and its table."""
+# ruff: noqa: D301
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from dolfin_elastic.cli.run import Petsc, Quiet, Trust, begin
+from dolfin_elastic.core.errors import InputError, check_kept
+from dolfin_elastic.core.petsc_options import parse_arguments
+from dolfin_elastic.core.signals import Stop
+from dolfin_elastic.core.startup.libraries import start
+
+if TYPE_CHECKING:
+    from dolfin_elastic.study.gradient.table import Derivative, Gradient, GradientTable
+
+_WRONG = 1.9
+"""Order of Taylor's remainder below which a derivative is doubtful."""
+
+
+def gradient(
+    case: Annotated[Path, typer.Argument(metavar="CASE", hidden=True)],
+    petsc: Petsc = None,
+    *,
+    of: Annotated[
+        list[str],
+        typer.Option("--of", metavar="NUMBER", help='What changes: "displacement_z of tip".'),
+    ],
+    by: Annotated[
+        list[str] | None,
+        typer.Option("--by", metavar="KEY", help="A number of the case: materials.steel.E."),
+    ] = None,
+    field: Annotated[
+        list[str] | None,
+        typer.Option("--field", metavar="KEY", help="A constant of a material in each cell."),
+    ] = None,
+    offset: Annotated[
+        list[str] | None,
+        typer.Option("--offset", metavar="SURFACE", help="A surface moves along its normal."),
+    ] = None,
+    verify: Annotated[
+        bool, typer.Option("--verify", help="Solve twice more for each parameter, to see it.")
+    ] = False,
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", metavar="DIR", help="Folder of the results.")
+    ] = None,
+    trust: Trust = False,
+    quiet: Quiet = False,
+) -> None:
+    """Say how results of a static case change with its numbers, cell by cell and with its shape.
+
+    \b
+      dolfin-elastic gradient hook.toml --of "displacement_z of tip" --by materials.steel.E
+      dolfin-elastic gradient hook.toml --of "von_mises on fillet" --by load[0].value[2] \\
+                                        --offset fillet --verify
+      dolfin-elastic gradient hook.toml --of strain_energy --field materials.steel.E
+
+    NUMBER is strain_energy, displacement_z of a probe, an edge or a point, reaction_x of a support,
+    or mean, integral or norm:16 of a field on a part: "mean von_mises on fillet".  A largest value
+    has no derivative where two places share it; that of the norm is told in its place.
+    KEY is a key of the case file with dots, numbers of rows in brackets.
+    One adjoint solution for each NUMBER gives all its derivatives.  The table, a plot and fields
+    for ParaView go to CASE_gradient.
+    """
+    options, at_start = parse_arguments(petsc or [])
+    start(at_start)
+    from dolfin_elastic.case.case import read_case
+    from dolfin_elastic.study.gradient.gradient import Asked, gradients_of
+    from dolfin_elastic.study.gradient.table import GradientTable
+    from dolfin_elastic.study.gradient.written import default_folder, write_gradient
+
+    asked = Asked(tuple(of), tuple(by or ()), tuple(field or ()), tuple(offset or ()))
+    if not (asked.by or asked.fields or asked.offsets):
+        raise InputError(
+            "nothing changes",
+            where="--by",
+            expected="--by materials.NAME.E, --field materials.NAME.E or --offset SURFACE",
+        )
+    comm = begin(quiet)
+    read = read_case(case, comm=comm, trust=trust)
+    folder = output if output is not None else default_folder(read)
+    check_kept(folder, "--output" if output is not None else "output.folder")
+    Stop(folder)
+    found = gradients_of(read, asked, petsc=options, verify=verify, comm=comm)
+    names = write_gradient(found, folder)
+    if comm.rank == 0 and not quiet:
+        _show(GradientTable(found.gradients), folder, names)
+
+
+def _show(table: GradientTable, folder: Path, names: list[str]) -> None:
+    """Prints the table, and what was written."""
+    from rich.box import SIMPLE_HEAD
+    from rich.table import Table
+
+    from dolfin_elastic.cli.console import TYPED, console, show_files, show_table
+    from dolfin_elastic.core.si_text import quantity
+
+    screen, doubtful = console(), False
+    for one in table.gradients:
+        screen.tell(f"{one.name} = {quantity(one.value, one.unit)}".translate(TYPED))
+        rows = Table(box=SIMPLE_HEAD, pad_edge=False)
+        heads = ["by", "at", "derivative", "1 % more"]
+        seen = any(math.isfinite(d.order) for d in one.by)
+        for head in heads + ["order"] * seen:
+            rows.add_column(head, justify="left" if head == "by" else "right")
+        for d in one.by:
+            rows.add_row(*_cells(one, d), *([_order(d)] if seen else []))
+            doubtful |= d.order < _WRONG
+        if one.by:
+            show_table(screen, rows)
+    if doubtful:
+        screen.tell("an order far from 2: that derivative is not to be relied on")
+    show_files(folder, names)
+
+
+def _cells(one: Gradient, d: Derivative) -> list[str]:
+    from dolfin_elastic.core.si_text import scaled_unit
+    from dolfin_elastic.study.gradient.table import relative
+
+    factor, unit = scaled_unit(d.value, one.unit)
+    per = f"{unit or 1} per {d.unit}" if d.unit else unit
+    change = relative(one, d)
+    return [
+        d.key,
+        f"{d.at:g} {d.unit}".rstrip() if d.at else "0",
+        f"{d.value / factor:.5g} {per}".rstrip(),
+        f"{change:+.3g} %" if math.isfinite(change) else "",
+    ]
+
+
+def _order(d: Derivative) -> str:
+    return f"{d.order:.2f}" if math.isfinite(d.order) else "round-off"

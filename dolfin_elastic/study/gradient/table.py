@@ -1,0 +1,110 @@
+"""What gradients tell: derivatives of numbers by parameters, and tables of them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from dolfin_elastic.core.errors import InputError, nearest
+from dolfin_elastic.core.types import FloatArray
+from dolfin_elastic.study.tabled import Tabled
+
+
+@dataclass(frozen=True)
+class Derivative:
+    """Of one number by one parameter.
+
+    Attributes:
+        key: Of the parameter.
+        at: The parameter's value.
+        unit: Of the parameter, as the case has it; empty of bare numbers.
+        value: dQ/dm, the SI unit of Q over `unit`.
+        order: With which Taylor's remainder falls with the step, 2 of a right derivative; nan
+            where nobody has looked, or where nothing but round-off is left of it.
+    """
+
+    key: str
+    at: float
+    unit: str
+    value: float
+    order: float = float("nan")
+
+
+@dataclass(frozen=True)
+class Gradient:
+    """Of one number.
+
+    Attributes:
+        name: What it is.
+        value: Of it.
+        unit: SI.
+        by: Its derivatives.
+        cells: Key of a constant to dQ/d ln m of each owned cell, in the unit of Q.
+        nodes: dQ/dX at the local nodes of the mesh's geometry, ghosts included, shape (nodes, dim),
+            unit of Q per m; None where no surface moves.
+        iterations: Of the adjoint's linear solver.
+    """
+
+    name: str
+    value: float
+    unit: str
+    by: tuple[Derivative, ...]
+    cells: Mapping[str, FloatArray] = field(default_factory=dict)
+    nodes: FloatArray | None = None
+    iterations: int = 0
+
+    def __getitem__(self, key: str) -> Derivative:
+        """The derivative by a parameter.
+
+        Raises:
+            InputError: It is not among those that were asked for.
+        """
+        known = {one.key: one for one in self.by}
+        if key not in known:
+            raise InputError(f"there is no derivative by '{key}'", expected=nearest(key, known))
+        return known[key]
+
+
+@dataclass(frozen=True)
+class GradientTable(Tabled):
+    """Gradients of several numbers.
+
+    Attributes:
+        gradients: One for each number.
+    """
+
+    gradients: tuple[Gradient, ...]
+
+    def __getitem__(self, name: str) -> Gradient:
+        """The gradient of a number.
+
+        Raises:
+            InputError: It is not among those that were asked for.
+        """
+        known = {one.name: one for one in self.gradients}
+        if name not in known:
+            raise InputError(f"there is no gradient of '{name}'", expected=nearest(name, known))
+        return known[name]
+
+    def columns(self) -> dict[str, list[object]]:
+        """The table by columns, a row for each number and parameter."""
+        rows = [(one, d) for one in self.gradients for d in one.by]
+        return {
+            "number": [one.name for one, _ in rows],
+            "value": [one.value for one, _ in rows],
+            "unit": [one.unit for one, _ in rows],
+            "parameter": [d.key for _, d in rows],
+            "at": [d.at for _, d in rows],
+            "parameter_unit": [d.unit for _, d in rows],
+            "derivative": [d.value for _, d in rows],
+            "relative": [relative(one, d) for one, d in rows],
+            "taylor_order": [d.order for _, d in rows],
+        }
+
+
+def relative(one: Gradient, derivative: Derivative) -> float:
+    """m/Q dQ/dm: by how many per cent Q changes where m is 1 % larger; nan where one is 0."""
+    if not (one.value and derivative.at):
+        return math.nan
+    return derivative.at * derivative.value / one.value
