@@ -118,17 +118,19 @@ def _show(table: GradientTable, folder: Path, names: list[str]) -> None:
 
 
 def _cells(one: Gradient, d: Derivative) -> list[str]:
+    from dolfin_elastic.cli.console import TYPED
     from dolfin_elastic.core.si_text import scaled_unit
     from dolfin_elastic.study.gradient.table import relative
 
     factor, unit = scaled_unit(d.value, one.unit)
     per = f"{unit or 1} per {d.unit}" if d.unit else unit
     change = relative(one, d)
+    value = f"{d.value / factor:.5g} {per}".rstrip() if change else "0"
     return [
         d.key,
         f"{d.at:g} {d.unit}".rstrip() if d.at else "0",
-        f"{d.value / factor:.5g} {per}".rstrip(),
-        f"{change:+.3g} %" if math.isfinite(change) else "",
+        value.translate(TYPED),
+        f"{change:+.3g} %" if change and math.isfinite(change) else "0" * (change == 0.0),
     ]
 
 

@@ -16,13 +16,16 @@ from collections.abc import Collection, Mapping, Sequence
 
 import numpy as np
 import ufl
+from dolfinx import fem, la
+from mpi4py import MPI
 from ufl.core.expr import Expr
 
 from dolfin_elastic.core.errors import InputError, nearest
 from dolfin_elastic.core.ghosts import assembled
 from dolfin_elastic.core.parallel import total
 from dolfin_elastic.core.types import FloatArray, IndexArray
-from dolfin_elastic.mesh.geometry.locate import locate
+from dolfin_elastic.mesh.geometry.curved import shape_functions
+from dolfin_elastic.mesh.geometry.locate import LocatedPoint, locate
 from dolfin_elastic.model.kinematics import WeightedMeasure, weight
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.problem.spaces import part_nodes
@@ -65,6 +68,14 @@ class Functional(ABC):
     @abstractmethod
     def by_unknowns(self, assembler: Assembler) -> FloatArray:
         """dQ/dw at owned entries, at the unknowns at which `value` was asked for last."""
+
+    def by_positions(self, V: fem.FunctionSpace) -> FloatArray | None:
+        """What it depends on the nodes' positions beside `form`, owned entries; None: nothing.
+
+        Args:
+            V: Space of the positions.
+        """
+        return None
 
     def motion(self) -> FloatArray | None:
         """The motion of owned entries of which it is the work of nodal forces; None: of none."""
@@ -127,6 +138,7 @@ class NodalFunctional(Functional):
     Args:
         weights: Owned nodes and the weight of each.
         component: Number of the component; None: the length of the sum.
+        point: Where it is evaluated, which stays there when nodes move; None: it is a mean.
     """
 
     def __init__(
@@ -135,9 +147,11 @@ class NodalFunctional(Functional):
         problem: Problem,
         weights: tuple[IndexArray, FloatArray],
         component: int | None,
+        point: LocatedPoint | None = None,
     ) -> None:
         super().__init__(name, "m", problem)
         self._nodes, self._weights, self._component = *weights, component
+        self._point = point
         self._along: FloatArray = np.zeros(problem.body.dim)
 
     def value(self, forces: FloatArray) -> float:
@@ -158,6 +172,22 @@ class NodalFunctional(Functional):
         result = np.zeros(assembler.size)
         result[dofs] = rows.reshape(-1)
         return result
+
+    def by_positions(self, V: fem.FunctionSpace) -> FloatArray | None:
+        """See `Functional`: nodes that move carry the field past the point, dQ = -grad u dX."""
+        if self._point is None:
+            return None
+        mesh, dim = self.problem.body.mesh, self.problem.body.dim
+        result = la.vector(V.dofmap.index_map, dim)
+        if self._point.cell >= 0:
+            cell, local = np.array([self._point.cell], dtype=np.int32), self._point.local[None]
+            slope = fem.Expression(ufl.grad(self.problem.u), local, comm=MPI.COMM_SELF)
+            slopes = slope.eval(mesh, cell).reshape(dim, dim)
+            shapes = shape_functions(mesh, local)[0]
+            rows = result.array.reshape(-1, dim)
+            rows[V.dofmap.list[cell[0]]] -= np.outer(shapes, self._along @ slopes)
+        result.scatter_reverse(la.InsertMode.add)
+        return np.asarray(result.array[: V.dofmap.index_map.size_local * dim])
 
 
 class ReactionFunctional(Functional):
@@ -230,7 +260,8 @@ def functionals(
 
 
 def _functional(text: str, problem: Problem, probes: Mapping[str, Sequence[float]]) -> Functional:
-    norm = _NORM.fullmatch(text.strip())
+    text = " ".join(text.split())
+    norm = _NORM.fullmatch(text)
     power = int(norm[1]) if norm else NORM
     wanted = Wanted.read(norm[2] if norm else text, _OPTION)
     if SAME.get(wanted.name, wanted.name) == "strain_energy" and not wanted.part:
@@ -244,7 +275,7 @@ def _functional(text: str, problem: Problem, probes: Mapping[str, Sequence[float
             expected=f"{wanted.name[:-1]}x or {wanted.name[:-1]}y",
         )
     if kind is not None and kind[1] == "reaction":
-        return _reaction(wanted, problem, component)
+        return _reaction(text, wanted, problem, component)
     kinds = problem.body.kinds(wanted.part) if wanted.part else {"region"}
     if (
         kind is not None
@@ -252,14 +283,16 @@ def _functional(text: str, problem: Problem, probes: Mapping[str, Sequence[float
         and (wanted.part in probes or "region" not in kinds)
     ):
         if wanted.part in probes:
-            weights = _at(problem, probes[wanted.part])
-            return NodalFunctional(str(wanted), problem, weights, component)
+            point = locate(problem.body, {_OPTION: probes[wanted.part]})[_OPTION]
+            weights = _around(problem, point)
+            return NodalFunctional(text, problem, weights, component, point)
         if not kinds:
             raise wanted.unknown("no part and no probe", wanted.part, _known(problem, probes))
         if "surface" not in kinds:
-            return NodalFunctional(str(wanted), problem, _mean(problem, wanted.part), component)
+            return NodalFunctional(text, problem, _mean(problem, wanted.part), component)
     wanted.check(problem.body, (), problem.constraints.labels)
-    return _of_field(wanted, problem, kinds, power)
+    bare = norm[2] if norm else text
+    return _of_field(bare, wanted, problem, kinds, power)
 
 
 def _known(problem: Problem, probes: Mapping[str, Sequence[float]]) -> list[str]:
@@ -273,13 +306,13 @@ def _energy(problem: Problem) -> Functional:
     return IntegralFunctional("strain_energy", "J", problem, form)
 
 
-def _reaction(wanted: Wanted, problem: Problem, component: int | None) -> Functional:
+def _reaction(text: str, wanted: Wanted, problem: Problem, component: int | None) -> Functional:
     held = problem.constraints.labels
     if not wanted.part or wanted.part not in held:
         raise wanted.unknown("no support that prescribes displacements", wanted.part, held)
     if problem.constraints.combined:
         raise InputError(
-            f"'{wanted}' has no derivative here: supports along other directions than the axes, "
+            f"'{text}' has no derivative here: supports along other directions than the axes, "
             "or ties, share the forces",
             where=_OPTION,
             expected="a displacement, a stress or the strain energy",
@@ -287,16 +320,15 @@ def _reaction(wanted: Wanted, problem: Problem, component: int | None) -> Functi
     own = problem.constraints.reaction_dofs[wanted.part]
     entries = np.asarray(problem.unknowns.mixed_dofs(own), dtype=np.int32)
     parts = np.asarray(own % problem.body.dim, dtype=np.int32)
-    return ReactionFunctional(str(wanted), problem, (entries, parts), component)
+    return ReactionFunctional(text, problem, (entries, parts), component)
 
 
-def _at(problem: Problem, place: Sequence[float]) -> tuple[IndexArray, FloatArray]:
+def _around(problem: Problem, point: LocatedPoint) -> tuple[IndexArray, FloatArray]:
     """Owned nodes around a point, and their shape functions there. Collective.
 
     Nodes of its cell that another rank owns are told by the rank that has the cell.
     """
     comm, V = problem.body.comm, problem.V
-    point = locate(problem.body, {_OPTION: place})[_OPTION]
     found: tuple[list[int], list[float]] = ([], [])
     if point.cell >= 0:
         table = V.element.basix_element.tabulate(0, point.local[None])[0, 0, :, 0]
@@ -317,13 +349,15 @@ def _mean(problem: Problem, part: str) -> tuple[IndexArray, FloatArray]:
     return own, np.full(len(own), 1 / total(problem.body.comm, len(own)))
 
 
-def _of_field(wanted: Wanted, problem: Problem, kinds: Collection[str], power: int) -> Functional:
+def _of_field(
+    text: str, wanted: Wanted, problem: Problem, kinds: Collection[str], power: int
+) -> Functional:
     """A mean, an integral or a norm of a field."""
     reduction = wanted.reduction or "max"
     quantity = wanted.quantity
     if reduction not in ("mean", "integral", "max") or wanted.name == "safety_factor":
         raise InputError(
-            f"'{wanted}' has no derivative",
+            f"'{text}' has no derivative",
             where=_OPTION,
             expected="a mean, an integral, or the largest value, which a smooth norm stands for",
         )
@@ -361,7 +395,7 @@ def _of_field(wanted: Wanted, problem: Problem, kinds: Collection[str], power: i
     )
     one = problem.constant(1.0)
     whole = sum((one * measure for measure in measures if measure is not None), ufl.Form([]))
-    name = f"norm:{power} {wanted}".replace("max ", "") if smooth else str(wanted)
+    name = f"norm:{power} {text.removeprefix('max ')}" if smooth else text
     unit = FIELDS[quantity.name].unit
     if reduction == "integral":
         over = "m^2" if surface else "m^3"

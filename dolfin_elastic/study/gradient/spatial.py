@@ -186,7 +186,8 @@ class Shape(_Field):
         if (own := functional.form) is not None:
             own_change = self._compiled(functional.name, lambda: self._by(own))
             result += functional.factor * assembled(own_change, self.V)
-        return result
+        further = functional.by_positions(self.V)
+        return result if further is None else result + further
 
     def _by(self, form: ufl.Form) -> ufl.Form:
         return ufl.derivative(form, self._x, self._test)

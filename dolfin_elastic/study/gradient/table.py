@@ -103,8 +103,13 @@ class GradientTable(Tabled):
         }
 
 
+_NOTHING = 1e-9
+"""Relative derivative below which it is round-off."""
+
+
 def relative(one: Gradient, derivative: Derivative) -> float:
     """m/Q dQ/dm: by how many per cent Q changes where m is 1 % larger; nan where one is 0."""
     if not (one.value and derivative.at):
         return math.nan
-    return derivative.at * derivative.value / one.value
+    result = derivative.at * derivative.value / one.value
+    return result if abs(result) > _NOTHING else 0.0

@@ -118,12 +118,12 @@ def draw(table: GradientTable, path: Path) -> None:
         axis.barh([literal(key) for key, _ in rows], [r for _, r in rows], color=_INK, height=0.6)
         axis.axvline(0.0, color="0.3", linewidth=0.8)
         axis.set_title(literal(f"{one.name} = {quantity(one.value, one.unit)}"), fontsize=10)
-        axis.margins(x=0.12)
+        axis.margins(x=0.2)
         for side in ("top", "right", "left"):
             axis.spines[side].set_visible(False)
         for place, (_, r) in enumerate(rows):
             axis.annotate(
-                f"{r:+.2g} %",
+                f"{r:+.2g} %" if r else "0",
                 (r, place),
                 xytext=(4 if r >= 0 else -4, 0),
                 textcoords="offset points",
