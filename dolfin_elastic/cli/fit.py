@@ -14,7 +14,8 @@ from dolfin_elastic.core.errors import CaseError, SolveError, nearest
 from dolfin_elastic.core.startup.libraries import start
 
 if TYPE_CHECKING:
-    from dolfin_elastic.study.fit.fit import Fit, FittedConstant
+    from dolfin_elastic.study.fit.fit import Fit
+    from dolfin_elastic.study.least_squares.fitted import FittedConstant
 
 Files: TypeAlias = list[Path] | None
 Texts: TypeAlias = list[str] | None

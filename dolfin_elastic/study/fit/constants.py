@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import ufl
@@ -26,6 +26,7 @@ from dolfin_elastic.model.materials.plasticity import HardeningCurve, Plastic
 from dolfin_elastic.model.materials.registry import MATERIALS
 from dolfin_elastic.model.materials.spatial import Range, units_in_lists, units_of
 from dolfin_elastic.study.fit.curves import TestCurve
+from dolfin_elastic.study.least_squares.problem import Constant
 
 FIT = "fit"
 """In the place of a constant: it is fitted, and has no starting value."""
@@ -41,29 +42,6 @@ _EXPONENT = Range(low=-20.0, high=20.0, low_too=True, high_too=True)
 """Of Ogden's law: larger ones fit the scatter of the last points."""
 _INSIDE = 1e-9
 """Distance from a bound that does not belong to a range, over the size of the constant."""
-
-
-@dataclass(frozen=True)
-class Constant:
-    """One number of a law.
-
-    Attributes:
-        name: As in a case file, see the module.
-        unit: SI unit; empty: a pure number, or a parameter of a formula.
-        start: Where the search begins.
-        low: Least value.
-        high: Largest value.
-        held: Why it is not fitted; empty: it is.
-        scale: Its size.
-    """
-
-    name: str
-    unit: str
-    start: float
-    low: float
-    high: float
-    held: str = ""
-    scale: float = 1.0
 
 
 def constants_of(law: Law) -> list[Constant]:

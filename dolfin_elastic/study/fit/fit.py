@@ -10,22 +10,20 @@ from pathlib import Path
 import numpy as np
 
 from dolfin_elastic.case.tables import Material
-from dolfin_elastic.core.errors import CaseError, InputError, nearest
+from dolfin_elastic.core.errors import CaseError, InputError
 from dolfin_elastic.core.si_text import listed, percent, quantity
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.model.materials.isochoric import Isochoric
 from dolfin_elastic.model.materials.law import Law
-from dolfin_elastic.study.fit.constants import (
-    Constant,
-    chosen,
-    guessed,
-    marked_rows,
-    with_numbers,
-)
+from dolfin_elastic.study.fit.constants import chosen, guessed, marked_rows, with_numbers
 from dolfin_elastic.study.fit.curves import KINDS, TestCurve, as_curve, known_kind
 from dolfin_elastic.study.fit.homogeneous import HomogeneousTests
+from dolfin_elastic.study.fit.model import Model
 from dolfin_elastic.study.fit.remarks import remarks, stability
-from dolfin_elastic.study.fit.search import Answer, Certainty, Model, certainty, search
+from dolfin_elastic.study.least_squares.certainty import certainty
+from dolfin_elastic.study.least_squares.fitted import FittedConstant, constant_of, fitted_constants
+from dolfin_elastic.study.least_squares.problem import Constant
+from dolfin_elastic.study.least_squares.search import Answer, search
 
 STARTS, SLOW_STARTS, EVALUATIONS = 24, 4, 400
 """Largest number of starts, that of compressible laws and metals, and of steps from each."""
@@ -39,33 +37,6 @@ _SMALL = 1e-5
 """Strain at which Young's modulus is measured."""
 _LINE = 120
 """Points of a curve of the law."""
-
-
-@dataclass(frozen=True)
-class FittedConstant:
-    """A constant after the fit.
-
-    Attributes:
-        name: As in a case file.
-        unit: SI unit.
-        value: In SI units.
-        half: Half the width of its interval of 95 %; infinite where the tests do not tell it, nan
-            where it is held or at a bound.
-        held: Why it is not fitted; empty: it is.
-        bound: It has come to a bound of its range.
-    """
-
-    name: str
-    unit: str
-    value: float
-    half: float
-    held: str = ""
-    bound: bool = False
-
-    @property
-    def interval(self) -> tuple[float, float]:
-        """Its ends."""
-        return self.value - self.half, self.value + self.half
 
 
 @dataclass(frozen=True)
@@ -138,10 +109,7 @@ class Fit:
 
     def __getitem__(self, name: str) -> FittedConstant:
         """The constant of a name; of an unknown one a KeyError that names the nearest."""
-        known = {row.name: row for row in self.constants}
-        if name not in known:
-            raise KeyError(f"there is no constant '{name}'; {nearest(name, known)}")
-        return known[name]
+        return constant_of(self.constants, name)
 
     def __str__(self) -> str:
         rows = [f"{c.name} = {c.value:.6g} {c.unit}".rstrip() for c in self.constants]
@@ -293,7 +261,7 @@ def read_curves(
 def _result(start: Law, model: Model, constants: list[Constant], answer: Answer) -> Fit:
     known = certainty(model, answer.z)
     values = dict(zip((row.name for row in model.free), answer.z * model.scale, strict=True))
-    rows = _fitted(constants, values, model, known)
+    rows = fitted_constants(constants, model, answer.z, known)
     notes = []
     try:
         law = with_numbers(start, {name: float(x) for name, x in values.items()})
@@ -364,21 +332,3 @@ def _line(model: Model, curve: TestCurve, z: FloatArray) -> tuple[FloatArray, Fl
     rest = curve.mode.rest
     x = np.linspace(min(rest, curve.x.min()), max(rest, curve.x.max()), _LINE, dtype=np.float64)
     return x, model.tests.predict(replace(curve, x=x), z[None] * model.scale)[0]
-
-
-def _fitted(
-    constants: list[Constant], values: Mapping[str, float], model: Model, known: Certainty
-) -> tuple[FittedConstant, ...]:
-    order = {row.name: i for i, row in enumerate(model.free)}
-    return tuple(
-        FittedConstant(row.name, row.unit, row.start, np.nan, row.held)
-        if row.held
-        else FittedConstant(
-            row.name,
-            row.unit,
-            float(values[row.name]),
-            float(known.half[order[row.name]]),
-            bound=bool(known.bound[order[row.name]]),
-        )
-        for row in constants
-    )

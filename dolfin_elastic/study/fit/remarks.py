@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from functools import partial
 
 import numpy as np
 
-from dolfin_elastic.core.si_text import listed
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.model.materials.law import Law
 from dolfin_elastic.model.point.ellipticity import acoustic_eigenvalues
@@ -16,7 +16,9 @@ from dolfin_elastic.model.point.ufl_to_numpy import LawAtPoints
 from dolfin_elastic.study.fit.constants import VOLUME
 from dolfin_elastic.study.fit.curves import KINDS, TestCurve
 from dolfin_elastic.study.fit.homogeneous import HomogeneousTests
-from dolfin_elastic.study.fit.search import Certainty, Model
+from dolfin_elastic.study.fit.model import Model
+from dolfin_elastic.study.least_squares.certainty import Certainty
+from dolfin_elastic.study.least_squares.remarks import remarks_on
 
 _OTHERS = ("uniaxial", "equibiaxial", "planar", "shear")
 _POINTS = 20
@@ -24,44 +26,12 @@ _GRID = 16
 """Points to each side of the rest at which stability is looked at."""
 _BETTER = 3.0
 """By how much another test must see a change of constants better, to be named."""
-_ALIKE = 0.95
-"""Correlation from which on two constants are hardly told apart."""
 _METAL = ("yield_stress", "hardening", "kinematic")
 
 
 def remarks(model: Model, z: FloatArray, known: Certainty) -> tuple[list[str], list[str]]:
     """What is not told, and further remarks."""
-    names, unknown, notes = [row.name for row in model.free], [], []
-    for group in known.unknown:
-        direction = np.zeros(len(z))
-        direction[list(group)] = 1.0
-        alone = len(group) == 1
-        what = (
-            f"{names[group[0]]} cannot be found from these tests"
-            if alone
-            else (f"{listed([names[i] for i in group])} cannot be distinguished by these tests")
-        )
-        unknown.append(what + _which(model, z, direction if alone else known.weak, group))
-    wide = [
-        i
-        for i in range(len(z))
-        if np.isfinite(known.half[i]) and known.half[i] > abs(z[i]) * model.scale[i] > 0
-    ]
-    if wide:
-        what = f"{listed([names[i] for i in wide])} {'is' if len(wide) == 1 else 'are'}"
-        text = f"{what} known to no better than 100 %"
-        unknown.append(text + _which(model, z, known.weak, wide))
-    pairs = [
-        f"{names[i]} and {names[j]} ({known.correlation[i, j]:.3f})"
-        for i in range(len(z))
-        for j in range(i)
-        if abs(known.correlation[i, j]) > _ALIKE
-    ]
-    if pairs:
-        notes.append(f"strongly correlated: {', '.join(pairs)}")
-    for i in np.flatnonzero(known.bound):
-        notes.append(f"{names[i]} is at a bound of its range: the law may not suit the tests")
-    return unknown, notes
+    return remarks_on(model, z, known, "tests", "the law", partial(_which, model, z))
 
 
 def _which(model: Model, z: FloatArray, weak: FloatArray, group: Sequence[int]) -> str:

@@ -16,7 +16,8 @@ from dolfin_elastic.results.files import drafted, make_folder, replace_text
 from dolfin_elastic.results.finished.curves import literal
 from dolfin_elastic.study.fit.constants import table_with
 from dolfin_elastic.study.fit.curves import KINDS
-from dolfin_elastic.study.fit.fit import Fit, FittedConstant, FittedCurve
+from dolfin_elastic.study.fit.fit import Fit, FittedCurve
+from dolfin_elastic.study.least_squares.fitted import FittedConstant, constants_csv
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -74,21 +75,10 @@ def write_fit(name: str, fit: Fit, folder: Path, on: object = None) -> list[Path
     begin = "".join(c if c.isalnum() or c in "-_" else "_" for c in name)
     paths = [folder / f"{begin}{end}" for end in (".toml", "_constants.csv", "_curves.csv", ".png")]
     replace_text(paths[0], material_toml(name, fit, on))
-    replace_text(paths[1], _constants(fit))
+    replace_text(paths[1], constants_csv(fit.fitted, fit.correlation))
     replace_text(paths[2], _curves(fit))
     _draw(name, fit, paths[3])
     return paths
-
-
-def _constants(fit: Fit) -> str:
-    """Constants with intervals and correlations, as CSV."""
-    names = [row.name for row in fit.fitted]
-    lines = [",".join(["constant", "unit", "value", "low", "high", *names])]
-    for i, row in enumerate(fit.fitted):
-        ends = [f"{x:.10g}" if math.isfinite(x) else "" for x in row.interval]
-        matrix = [f"{x:.6g}" if math.isfinite(x) else "" for x in fit.correlation[i]]
-        lines.append(",".join([row.name, row.unit, f"{row.value:.10g}", *ends, *matrix]))
-    return "\n".join(lines) + "\n"
 
 
 def _curves(fit: Fit) -> str:

@@ -1,0 +1,1 @@
+"""Least squares of measured numbers: search, intervals, what cannot be told apart."""

@@ -1,0 +1,65 @@
+"""What least squares say of the constants in words."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from dolfin_elastic.core.si_text import listed
+from dolfin_elastic.core.types import FloatArray
+from dolfin_elastic.study.least_squares.certainty import Certainty
+from dolfin_elastic.study.least_squares.problem import LeastSquares
+
+_ALIKE = 0.95
+"""Correlation from which on two constants are hardly told apart."""
+
+
+def remarks_on(
+    model: LeastSquares,
+    z: FloatArray,
+    known: Certainty,
+    data: str,
+    what: str,
+    which: Callable[[FloatArray, Sequence[int]], str] = lambda *_: "",
+) -> tuple[list[str], list[str]]:
+    """What is not told, and further remarks, a sentence each.
+
+    Args:
+        z: The answer, shape (k,).
+        known: What is known of them at z, from `certainty`.
+        data: What was measured, such as "tests".
+        what: Describes it, such as "the law".
+        which: From a change of z that is hardly seen, and the indices of the constants in it, to
+            what would tell them, behind a colon; empty where nothing is known to.
+    """
+    names, unknown, notes = [row.name for row in model.free], [], []
+    for group in known.unknown:
+        direction = np.zeros(len(z))
+        direction[list(group)] = 1.0
+        alone = len(group) == 1
+        text = (
+            f"{names[group[0]]} cannot be found from these {data}"
+            if alone
+            else f"{listed([names[i] for i in group])} cannot be distinguished by these {data}"
+        )
+        unknown.append(text + which(direction if alone else known.weak, group))
+    wide = [
+        i
+        for i in range(len(z))
+        if np.isfinite(known.half[i]) and known.half[i] > abs(z[i]) * model.scale[i] > 0
+    ]
+    if wide:
+        who = f"{listed([names[i] for i in wide])} {'is' if len(wide) == 1 else 'are'}"
+        unknown.append(f"{who} known to no better than 100 %" + which(known.weak, wide))
+    pairs = [
+        f"{names[i]} and {names[j]} ({known.correlation[i, j]:.3f})"
+        for i in range(len(z))
+        for j in range(i)
+        if abs(known.correlation[i, j]) > _ALIKE
+    ]
+    if pairs:
+        notes.append(f"strongly correlated: {', '.join(pairs)}")
+    for i in np.flatnonzero(known.bound):
+        notes.append(f"{names[i]} is at a bound of its range: {what} may not suit the {data}")
+    return unknown, notes
