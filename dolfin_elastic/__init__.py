@@ -112,6 +112,7 @@ if TYPE_CHECKING:
     from dolfin_elastic.solvers.eigen.modal import Modal as Modal
     from dolfin_elastic.solvers.statics.statics import Statics as Statics
     from dolfin_elastic.study.fit.fit import fit as fit
+    from dolfin_elastic.study.identify.identify import identify as identify
     from dolfin_elastic.study.sweep.sweep import sweep as sweep
 
 _PLACES = {
@@ -187,6 +188,7 @@ _PLACES = {
     "solvers.eigen.modal": ("Modal",),
     "solvers.eigen.buckling": ("Buckling",),
     "study.fit.fit": ("fit",),
+    "study.identify.identify": ("identify",),
     "notebook.report_view": ("show_report",),
     "results.finished.run": ("FinishedRun",),
     "results.outputs": ("History", "Modes", "Picture", "Summary", "Xdmf"),

@@ -300,12 +300,12 @@ def portable(case: Case) -> dict[str, Any]:
     tables = case.model_copy(update=inlined).to_dict()
     if (file := case.file_of_start) is not None:
         tables["dynamics"]["start"]["file"] = str((case.folder / file).resolve())
-    for mesh, key in _meshes(tables):
+    for mesh, key in meshes_of(tables):
         mesh[key] = str((case.folder / mesh[key]).resolve())
     return tables
 
 
-def _meshes(tables: dict[str, Any]) -> list[tuple[dict[str, Any], str]]:
+def meshes_of(tables: dict[str, Any]) -> list[tuple[dict[str, Any], str]]:
     """Tables of meshes and obstacles from files, each with the key of the file."""
     mesh = tables["mesh"]
     obstacles = [row["mesh"] for row in tables.get("contact", []) if "mesh" in row]
@@ -324,7 +324,7 @@ def written_tables(case: Case) -> dict[str, Any]:
     tables = portable(case)
     if (file := case.file_of_start) is not None:
         tables["dynamics"]["start"]["file"] = Path(file).name
-    for mesh, key in _meshes(tables):
+    for mesh, key in meshes_of(tables):
         mesh[key] = Path(mesh[key]).name
     if case.output.folder is not None and Path(case.output.folder).is_absolute():
         tables["output"]["folder"] = Path(case.output.folder).name

@@ -3,19 +3,18 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, TypeAlias
 
 import typer
 
+from dolfin_elastic.cli.fit_case import check_of_case, fit_case
 from dolfin_elastic.core.errors import CaseError, SolveError, nearest
 from dolfin_elastic.core.startup.libraries import start
 
 if TYPE_CHECKING:
     from dolfin_elastic.study.fit.fit import Fit
-    from dolfin_elastic.study.least_squares.fitted import FittedConstant
 
 Files: TypeAlias = list[Path] | None
 Texts: TypeAlias = list[str] | None
@@ -44,13 +43,24 @@ def fit(
     cyclic: Annotated[
         Files, typer.Option("--cyclic", metavar="CSV", help="A bar strained to and fro.")
     ] = None,
+    measured: Annotated[
+        Files,
+        typer.Option("--measured", metavar="CSV", help="Curve or displacements of a whole part."),
+    ] = None,
+    of: Annotated[
+        Texts, typer.Option("--of", metavar="X:Y", help='What it is: "t:reaction_x of top".')
+    ] = None,
+    vary: Annotated[
+        Texts, typer.Option("--vary", metavar="KEY", help="Value of the case that is sought.")
+    ] = None,
     unit: Annotated[
         str | None,
         typer.Option("--unit", help="Unit of stresses without one in their heading, else Pa."),
     ] = None,
     true: Annotated[bool, typer.Option("--true", help="Stresses are Cauchy's.")] = False,
     weight: Annotated[
-        Texts, typer.Option("--weight", metavar="TEST=W", help="Weight of a test: uniaxial=2.")
+        Texts,
+        typer.Option("--weight", metavar="TEST=W", help="Of a test or a file: uniaxial=2."),
     ] = None,
     fix: Annotated[
         Texts, typer.Option("--fix", metavar="NAME", help="A constant that keeps its value.")
@@ -74,18 +84,24 @@ def fit(
     ] = None,
     json: Annotated[bool, typer.Option("--json", help="Print JSON, for scripts.")] = False,
 ) -> None:
-    """Fit the constants of a material to measured curves.
+    """Fit the constants of a material, or values of a whole case, to what was measured.
 
     \b
       dolfin-elastic fit law.toml --uniaxial a.csv --equibiaxial b.csv --unit MPa
       dolfin-elastic fit law.toml --uniaxial a.csv --fix nu --bounds "mu=0.1 MPa:10 MPa"
       dolfin-elastic fit law.toml --relaxation r.csv --weight relaxation=2
+      dolfin-elastic fit case.toml --measured curve.csv --of "t:reaction_x of top" \\
+                                   --vary materials.rubber.mu
 
     LAW is a case file, of which nothing but [materials] is read, or a law's table alone.  Its
     numbers are starting values; mu = "fit" has none.  Files have columns of stretch (or strain)
     and nominal stress, which their headings name: "stress [MPa]".  Prints constants with
     intervals of 95 %, what the tests do not tell, and a table [materials.NAME] that `run` reads;
     it, a picture and tables go to LAW_fitted.  Exit code 3: the search has not ended.
+
+    With --measured the whole case is run again and again.  KEY is as `sweep --set` takes it; X and
+    Y are results as `sweep --tell` takes them, t is the load parameter or time.  Headings may name
+    them.  A file with columns x, y and ux, uy has displacements at points.
     """
     start()
     from mpi4py import MPI
@@ -104,6 +120,22 @@ def fit(
         "cyclic": cyclic,
     }
     data = {kind: paths for kind, paths in files.items() if paths}
+    if measured or vary or of:
+        law_only = {**files, "unit": unit, "true": true, "fix": fix, "material": only}
+        check_of_case([name for name, given in law_only.items() if given], measured or [])
+        fit_case(
+            law,
+            measured or [],
+            vary or [],
+            of=of or [],
+            bounds=_pairs("--bounds", bounds),
+            weights=_weights(weight),
+            starts=starts or 1,
+            steps=steps,
+            output=output,
+            json=json,
+        )
+        return
     folder = output if output is not None else Path(f"{law.stem}_fitted")
 
     def on_one_rank() -> None:
@@ -224,13 +256,14 @@ def _tables(fit: Fit) -> None:
     from rich.table import Table
 
     from dolfin_elastic.cli.console import console
+    from dolfin_elastic.cli.console_fit import interval_text
     from dolfin_elastic.core.si_text import percent, quantity
 
     table = Table("constant", box=SIMPLE_HEAD, pad_edge=False)
     table.add_column("value", justify="right")
     table.add_column("95 % interval", justify="left")
     for row in fit.constants:
-        table.add_row(row.name, quantity(row.value, row.unit), row.held or _interval(row))
+        table.add_row(row.name, quantity(row.value, row.unit), row.held or interval_text(row))
     console().print(table)
     table = Table("test", box=SIMPLE_HEAD, pad_edge=False)
     for head in ("points", "r.m.s. error", "of the largest stress"):
@@ -239,17 +272,6 @@ def _tables(fit: Fit) -> None:
         count, error = str(len(curve.stress)), quantity(curve.rms, "Pa")
         table.add_row(curve.measured.kind, count, error, percent(curve.relative))
     console().print(table)
-
-
-def _interval(row: FittedConstant) -> str:
-    from dolfin_elastic.core.si_text import percent, quantity
-
-    if row.bound:
-        return "at its bound"
-    if not math.isfinite(row.half):
-        return "not known"
-    part = percent(row.half / abs(row.value)) if row.value else ""
-    return f"+- {quantity(row.half, row.unit)} ({part})"
 
 
 def _plain(fit: Fit) -> dict[str, object]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import pickle
 from collections.abc import Callable, Iterable
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import TypeVar, cast
 
@@ -13,9 +14,12 @@ import dolfin_elastic.core.startup.started  # noqa: F401  # before anything star
 import numpy as np
 from mpi4py import MPI
 
+from dolfin_elastic.core.errors import ElasticError
 from dolfin_elastic.core.together import end_all_at_exceptions
 from dolfin_elastic.core.types import AnyArray, FloatArray, IntArray
 
+A = TypeVar("A")
+R = TypeVar("R")
 T = TypeVar("T")
 
 if MPI.COMM_WORLD.size > 1:
@@ -81,6 +85,46 @@ def on_root(comm: MPI.Comm, action: Callable[[], T]) -> T:
     if error is not None:
         raise error
     return cast(T, result)
+
+
+def led(comm: MPI.Comm, lead: Callable[[Callable[[A], T]], R], together: Callable[[A], T]) -> R:
+    """Rank 0 decides what all ranks compute next. Collective.
+
+    For what decides by numbers that may differ from rank to rank in their last digit.
+
+    Args:
+        comm: The ranks that take part.
+        lead: Called on rank 0 with a function that has all ranks call `together`; its result must
+            be picklable.
+        together: Collective; where it raises, it does so on all ranks.
+
+    Returns:
+        What `lead` returned, on every rank.
+
+    Raises:
+        Exception: What `lead` raised, on every rank.
+    """
+    if comm.rank:
+        while True:
+            ended, error, value = comm.bcast(None)
+            if error is not None:
+                raise error
+            if ended:
+                return cast(R, value)
+            with suppress(ElasticError):  # rank 0 has it, too, and decides
+                together(value)
+
+    def ask(value: A) -> T:
+        comm.bcast((False, None, value))
+        return together(value)
+
+    try:
+        result = lead(ask)
+    except Exception as error:
+        comm.bcast((True, _sendable(error), None))
+        raise
+    comm.bcast((True, None, result))
+    return result
 
 
 def total(comm: MPI.Comm, value: T) -> T:

@@ -99,6 +99,7 @@ POINTS = {
     "study/fit/test_fit.py",
     "study/fit/test_fit_input.py",
     "study/fit/test_fit_over_time.py",
+    "study/identify/test_identify_input.py",
     "test_docs.py",
     "test_install.py",
     "test_layout.py",
@@ -155,6 +156,7 @@ meshes, supports, loads, pressures and probes, have tests of their own; on one r
 the linear ones, which run on two so that reference cases as such do."""
 SHARED = {
     "study/converge/test_converge.py",
+    "study/identify/test_identify.py",
     "study/sweep/test_sweep.py",
     "case/test_node_loads.py",
     "case/test_restart.py",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,6 +12,7 @@ from dolfin_elastic.core.errors import InputError, nearest, nearest_file, not_sh
 from dolfin_elastic.core.units import is_quantity
 
 _MOST_BYTES = 1 << 26
+_HEAD = re.compile(r"(?P<name>[^\[(]*?)\s*[\[(]\s*(?P<unit>[^\])]*?)\s*[\])]\s*")
 
 
 @dataclass(frozen=True)
@@ -113,6 +115,12 @@ def read_csv(path: Path) -> CsvTable:
     cell = rows[0][1][0]
     head = None if is_number(cell) or is_quantity(cell) else rows.pop(0)[1]
     return CsvTable(head, rows, mark)
+
+
+def heading(text: str) -> tuple[str, str]:
+    """Name and unit of a heading such as "stress [MPa]"; the unit is empty where it has none."""
+    match = _HEAD.fullmatch(text)
+    return (match["name"].strip(), match["unit"]) if match else (text.strip(), "")
 
 
 def is_number(text: str) -> bool:

@@ -30,8 +30,8 @@ from dolfin_elastic.study.least_squares.problem import Constant
 
 FIT = "fit"
 """In the place of a constant: it is fitted, and has no starting value."""
-_OTHER_NAMES = {"lambda": "lmbda", "yield": "yield_stress", "prony": "viscous"}
-_OTHER_NAMES |= {"g": "ratio", "tau": "time"}
+OTHER_NAMES = {"lambda": "lmbda", "yield": "yield_stress", "prony": "viscous"}
+OTHER_NAMES |= {"g": "ratio", "tau": "time"}
 """What tables may call constants and branches."""
 VOLUME = ("nu", "K", "lmbda")
 """Constants of the change of volume, which only volumetric tests tell."""
@@ -277,7 +277,7 @@ def marked_constants(table: Mapping[str, object]) -> Iterator[str]:
 def marked_rows(table: Mapping[str, object]) -> list[str]:
     """The same, by the names that `constants_of` has."""
     names = marked_constants(table)
-    return [re.sub(r"\w+", lambda m: _OTHER_NAMES.get(m[0], m[0]), name) for name in names]
+    return [re.sub(r"\w+", lambda m: OTHER_NAMES.get(m[0], m[0]), name) for name in names]
 
 
 def _texts(value: object, name: str = "") -> Iterator[tuple[str, str]]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -10,12 +9,10 @@ from pathlib import Path
 import numpy as np
 
 from dolfin_elastic.core.errors import CaseError, InputError, UnitError, nearest
-from dolfin_elastic.core.files.columns import CsvTable, is_number, read_csv
+from dolfin_elastic.core.files.columns import CsvTable, heading, is_number, read_csv
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.core.units import to_si, unit_to_si
 from dolfin_elastic.model.point.homogeneous_tests import DEFORMATION_MODES, DeformationMode
-
-_HEAD = re.compile(r"(?P<name>[^\[(]*?)\s*[\[(]\s*(?P<unit>[^\])]*?)\s*[\])]\s*")
 
 
 @dataclass(frozen=True)
@@ -242,8 +239,7 @@ def read_curve(kind: str, path: Path, *, unit: str | None = None, true: bool = F
 
 def _plain(head: str) -> tuple[str, str]:
     """Name, in small letters, and unit of a heading."""
-    match = _HEAD.fullmatch(head)
-    name, unit = (match["name"], match["unit"]) if match else (head, "")
+    name, unit = heading(head)
     return " ".join(name.replace("_", " ").casefold().split()), unit
 
 

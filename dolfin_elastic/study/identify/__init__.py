@@ -1,0 +1,1 @@
+"""Constants of a whole case from measured curves and displacement fields."""

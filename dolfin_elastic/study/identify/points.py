@@ -1,0 +1,80 @@
+"""Displacements of states at many points of the undeformed body."""
+
+from __future__ import annotations
+
+import numpy as np
+from dolfinx import fem
+
+from dolfin_elastic.core.parallel import total
+from dolfin_elastic.core.types import BoolArray, FloatArray, IndexArray, IntArray
+from dolfin_elastic.mesh.body import Body
+from dolfin_elastic.mesh.geometry.locate import OUTSIDE_TOLERANCE, in_reference_cells
+
+_AT_ONCE = 1 << 22
+"""Pairs of a point and a cell that are compared at once."""
+
+
+class LocatedPoints:
+    """The cell of each of many points. Collective to make.
+
+    Args:
+        points: [m], reference configuration, the same on every rank, shape (n, dim).
+
+    Attributes:
+        inside: Whether a point is in the body, but for as little as cells cut corners of round
+            surfaces, shape (n,), the same on every rank.
+        mine: Numbers of those whose cell this rank owns, shape (m,).
+        cells: Local cells of these, shape (m,).
+        local: Their coordinates in the reference cell, shape (m, dim).
+    """
+
+    def __init__(self, body: Body, points: FloatArray) -> None:
+        cells, local, off = _in_own_cells(body, points)
+        everywhere = np.array(body.comm.allgather(off))
+        owner = np.argmin(everywhere, axis=0)
+        self.inside: BoolArray = everywhere.min(axis=0, initial=np.inf) <= OUTSIDE_TOLERANCE
+        self.mine: IntArray = np.flatnonzero(self.inside & (owner == body.comm.rank))
+        self.cells, self.local, self._count = cells[self.mine], local[self.mine], len(points)
+
+    def displacements(self, u: fem.Function) -> FloatArray:
+        """At all points [m], 0 outside, shape (n, dim), the same on every rank. Collective."""
+        V = u.function_space
+        dim = V.dofmap.index_map_bs
+        result = np.zeros((self._count, dim))
+        if len(self.mine):
+            shapes = V.element.basix_element.tabulate(0, self.local)[0, :, :, 0]
+            nodes = u.x.array.reshape(-1, dim)[V.dofmap.list[self.cells]]
+            result[self.mine] = np.einsum("pn,pnj->pj", shapes, nodes)
+        return np.asarray(total(V.mesh.comm, result))
+
+
+def _in_own_cells(body: Body, points: FloatArray) -> tuple[IndexArray, FloatArray, FloatArray]:
+    """Of each point the best owned cell, its coordinates in it, and how far it is outside.
+
+    Returns:
+        Shapes (n,), (n, dim) and (n,), the last infinite where no cell is near.
+    """
+    mesh, d = body.mesh, body.dim
+    own = mesh.topology.index_map(d).size_local
+    nodes = mesh.geometry.x[mesh.geometry.dofmap[:own], :d]
+    low, high = nodes.min(axis=1), nodes.max(axis=1)
+    # Curved edges may bulge a little over their nodes.
+    margin = 4 * OUTSIDE_TOLERANCE * (high - low).max(axis=1, initial=0.0)[:, None]
+    low, high = low - margin, high + margin
+    cells = np.full(len(points), -1, dtype=np.int32)
+    local, best = np.zeros((len(points), d)), np.full(len(points), np.inf)
+    step = max(1, _AT_ONCE // max(own, 1))
+    for first in range(0, len(points), step):
+        part = points[first : first + step]
+        near = np.ones((len(part), own), dtype=bool)
+        for axis in range(d):
+            x = part[:, axis, None]
+            near &= (x >= low[:, axis]) & (x <= high[:, axis])
+        which, cell = np.nonzero(near)
+        places, off = in_reference_cells(mesh, nodes[cell], part[which])
+        order = np.lexsort((cell, off, which))
+        which, cell, places, off = which[order], cell[order], places[order], off[order]
+        begin = np.flatnonzero(np.diff(which, prepend=-1))
+        rows = first + which[begin]
+        cells[rows], local[rows], best[rows] = cell[begin], places[begin], off[begin]
+    return cells, local, best

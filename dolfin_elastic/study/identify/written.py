@@ -1,0 +1,173 @@
+"""What a fit of a case leaves: the case with its values, a picture, tables."""
+
+from __future__ import annotations
+
+import os
+from contextlib import suppress
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from dolfin_elastic.case.case import Case
+from dolfin_elastic.case.restart import meshes_of, portable
+from dolfin_elastic.case.toml import changed_tables, toml_text, value_at
+from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.core.si_text import percent, scaled_unit
+from dolfin_elastic.core.startup.elsewhere import plain_matplotlib
+from dolfin_elastic.core.types import FloatArray
+from dolfin_elastic.results.files import drafted, make_folder, replace_text
+from dolfin_elastic.results.finished.curves import literal
+from dolfin_elastic.study.identify.identify import ComparedSet, Identified
+from dolfin_elastic.study.identify.measured import MeasuredCurve
+from dolfin_elastic.study.least_squares.fitted import constants_csv
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+_DIGITS = 7
+_COLUMNS = 3
+_AXES = ("x", "y", "z")
+
+
+def values_text(found: Identified) -> dict[str, object]:
+    """Keys to values with as many digits as a reader wants."""
+    pairs = zip(found.unknowns, found.constants, strict=True)
+    return {one.key: one.written(row.value, _DIGITS) for one, row in pairs}
+
+
+def default_folder(case: Case) -> Path:
+    """Folder of the files."""
+    folder = case.whole.results_folder()
+    return folder.with_name(f"{folder.name.removesuffix('_results')}_fitted")
+
+
+def write_identified(found: Identified, folder: Path) -> list[Path]:
+    """Writes all files of a fit. Not collective.
+
+    Args:
+        folder: Where they go; made if missing.
+
+    Returns:
+        The files.
+
+    Raises:
+        OutputError: Something cannot be written.
+    """
+    make_folder(folder)
+    name = found.case.name
+    texts = {".toml": _case(found, folder)}
+    texts["_constants.csv"] = constants_csv(found.constants, found.correlation)
+    if _curves(found):
+        texts["_curves.csv"] = _curve_rows(found)
+    if len(_curves(found)) < len(found.sets):
+        texts["_points.csv"] = _point_rows(found)
+    paths = {end: folder / f"{name}{end}" for end in (*texts, ".png")}
+    for end, text in texts.items():
+        replace_text(paths[end], text)
+    _draw(found, paths[".png"])
+    return [*paths.values()]
+
+
+def _case(found: Identified, folder: Path) -> str:
+    """The case with its values; paths are relative to the folder."""
+    values = values_text(found)
+    tables = portable(found.case.changed(values))
+    for key, value in values.items():
+        with suppress(InputError):  # where the key has another name there, it has SI units
+            value_at(tables, key)
+            tables = changed_tables(tables, {key: value}, frozenset())
+    for mesh, key in meshes_of(tables):
+        mesh[key] = os.path.relpath(mesh[key], folder.resolve())
+    try:
+        return toml_text(tables)
+    except TypeError:
+        return "# This case has Python functions, which no file holds.\n"
+
+
+def _curves(found: Identified) -> list[ComparedSet]:
+    return [one for one in found.sets if isinstance(one.measured, MeasuredCurve)]
+
+
+def _curve_rows(found: Identified) -> str:
+    """Curves as CSV, SI units."""
+    lines = ["curve,x,measured,computed"]
+    for number, one in enumerate(_curves(found), start=1):
+        curve = one.measured
+        assert isinstance(curve, MeasuredCurve)
+        rows = zip(curve.at, curve.values, one.computed, strict=True)
+        lines += [f"{number},{x:.10g},{a:.10g},{b:.10g}" for x, a, b in rows]
+    return "\n".join(lines) + "\n"
+
+
+def _point_rows(found: Identified) -> str:
+    """Displacement fields as CSV [m]."""
+    lines = ["field,t,x,y,z,component,measured,computed"]
+    fields = [one for one in found.sets if one not in _curves(found)]
+    for number, one in enumerate(fields, start=1):
+        field = one.measured
+        if isinstance(field, MeasuredCurve):
+            continue
+        for i, point in enumerate(field.points):
+            t = f"{field.times[i]:.10g}" if np.isfinite(field.times[i]) else ""
+            place = [*(f"{x:.10g}" for x in point), ""][:3]
+            for c, component in enumerate(field.components):
+                pair = f"{field.values[i, c]:.10g},{one.computed[i, c]:.10g}"
+                begin = f"{number},{t},{','.join(place)}"
+                lines.append(f"{begin},u{_AXES[component]},{pair}")
+    return "\n".join(lines) + "\n"
+
+
+# --- the picture ---
+
+
+@plain_matplotlib()
+def _draw(found: Identified, path: Path) -> None:
+    """One panel for each curve and field."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    across = min(len(found.sets), _COLUMNS)
+    down = -(-len(found.sets) // across)
+    figure = Figure(figsize=(1 + 4.2 * across, 3.6 * down), layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.subplots(down, across, squeeze=False).ravel()
+    for axis, one in zip(axes, found.sets, strict=False):
+        if isinstance(one.measured, MeasuredCurve):
+            _curve_panel(axis, one, one.measured)
+        else:
+            _field_panel(figure, axis, one)
+        axis.grid(color="#dde1e5")
+    for axis in axes[len(found.sets) :]:
+        axis.axis("off")
+    figure.suptitle(literal(found.case.name))
+    with drafted(path) as draft:
+        figure.savefig(draft, dpi=130, format=path.suffix[1:])
+
+
+def _curve_panel(axis: Axes, one: ComparedSet, curve: MeasuredCurve) -> None:
+    wide, x_unit = scaled_unit(float(np.abs(curve.at).max()), curve.x.unit)
+    size, unit = scaled_unit(float(np.abs(curve.values).max()), one.unit)
+    axis.plot(
+        curve.at / wide, curve.values / size, "o", color="#b0562f", markersize=4, label="measured"
+    )
+    assert one.line is not None
+    axis.plot(one.line[0] / wide, one.line[1] / size, color="#1f5f8b", label="computed")
+    axis.set_title(f"r.m.s. {percent(one.relative)}")
+    axis.set_xlabel(literal(f"{curve.x.text} [{x_unit}]" if x_unit else curve.x.text))
+    axis.set_ylabel(literal(f"{curve.y.text} [{unit}]" if unit else curve.y.text))
+    axis.legend(fontsize=8)
+
+
+def _field_panel(figure: Figure, axis: Axes, one: ComparedSet) -> None:
+    """How far the displacements are off at the points, seen along z."""
+    field = one.measured
+    assert not isinstance(field, MeasuredCurve)
+    off: FloatArray = np.linalg.norm(one.computed - field.values, axis=1)
+    size, unit = scaled_unit(float(off.max()), "m")
+    shown = axis.scatter(field.points[:, 0], field.points[:, 1], c=off / size, s=12)
+    figure.colorbar(shown, ax=axis, label=f"off [{unit}]")
+    axis.set_title(literal(f"{field.label}, r.m.s. {percent(one.relative)}"))
+    axis.set(xlabel="x [m]", ylabel="y [m]")
+    axis.set_aspect("equal")
