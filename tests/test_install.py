@@ -43,7 +43,9 @@ def test_virtual_environment(tmp_path: Path) -> None:
     (wheel,) = tmp_path.glob("*.whl")
     assert wheel.stat().st_size < 2.5e6  # the code alone: 2.05 MB; a picture or a mesh is more
     names = zipfile.ZipFile(wheel).namelist()
-    assert "dolfin_elastic/cli/tools/templates/rubber.toml" in names
+    assert {f"dolfin_elastic/cli/tools/templates/bracket.{end}" for end in ("toml", "geo")} <= {
+        *names
+    }
     code = [
         file
         for file in (ROOT / "dolfin_elastic/core/native").iterdir()

@@ -11,6 +11,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from conftest import ROOT
 from helpers.processes import PROGRAM, clean_environment, cli, started
 from jsonschema import Draft7Validator
 from mpi4py import MPI
@@ -48,13 +49,41 @@ def test_there_is_a_template_of_each_kind() -> None:
     assert {path.stem for path in TEMPLATES.iterdir()} == {*Kind}
 
 
+def test_kinds_are_listed(tmp_path: Path) -> None:
+    """One line each, and a row in the guide; an unknown one is answered with the nearest."""
+    code, out, err = cli("new", "--list", folder=tmp_path)
+    assert (code, err) == (0, "")
+    assert [line.split()[0] for line in out.splitlines()] == [*Kind]
+    assert all(len(line.split()) > 5 and len(line) < 120 for line in out.splitlines())
+    page = (ROOT / "docs/guide/installation.md").read_text()
+    assert re.findall(r"^\| `([\w-]+)`", page.partition("| case |")[2], re.M) == [*Kind]
+    code, out, err = cli("new", "--kind", "bones", folder=tmp_path)
+    assert (code, out) == (2, "")
+    assert err == "error: --kind: there is no kind 'bones'; did you mean 'bone'?\n"
+    assert os.listdir(tmp_path) == []
+
+
+def test_a_first_case_with_its_geometry(tmp_path: Path) -> None:
+    """Both files are written, under the name of the case, and neither is overwritten."""
+    (tmp_path / "arm.geo").write_text("mine")
+    words = ("new", "arm.toml", "--kind", "bracket")
+    code, _, err = cli(*words, folder=tmp_path)
+    assert (code, os.listdir(tmp_path)) == (2, ["arm.geo"])
+    assert err.startswith("error: arm.geo: this file exists already; ")
+    code, out, _ = cli(*words, "--force", folder=tmp_path)
+    assert (code, out.partition(";")[0]) == (0, "arm.toml and arm.geo written")
+    assert 'file = "arm.geo"' in (tmp_path / "arm.toml").read_text()
+    assert "Fillet" in (tmp_path / "arm.geo").read_text()
+
+
 @pytest.mark.long
 @pytest.mark.parametrize("kind", Kind)
 def test_first_cases_run(kind: Kind, tmp_path: Path) -> None:
-    """What `new` writes runs as it is, with an audit that passes."""
+    """What `new` writes runs as it is, with an audit that passes, and without a warning."""
     assert cli("new", "first.toml", "--kind", kind, folder=tmp_path)[0] == 0
     code, out, err = cli("run", "first.toml", folder=tmp_path)
     assert code == 0, out + err
+    assert "warning" not in err
     summary = json.loads((tmp_path / "first_results/summary.json").read_text())
     assert summary["status"] == "completed"
     if kind != Kind.MODAL:  # modes are not audited

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import tomllib
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -78,7 +79,7 @@ def faults(validator: Draft7Validator, table: dict[str, Any]) -> list[str]:
 def test_demos_and_first_cases(validator: Draft7Validator) -> None:
     """Whole cases are valid."""
     texts = [path.read_text() for path in DEMOS]
-    texts += [CASE, *(template(kind, "case.toml") for kind in Kind)]
+    texts += [CASE, *(template(kind, Path("case.toml"))[Path("case.toml")] for kind in Kind)]
     for text in texts:
         validator.validate(tomllib.loads(text))
 
