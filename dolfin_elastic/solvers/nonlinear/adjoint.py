@@ -27,8 +27,8 @@ from dolfin_elastic.solvers.petsc.options import ksp_reason
 if TYPE_CHECKING:
     from dolfin_elastic.solvers.nonlinear.newton import Newton
 
-DIGITS = 1e-10
-"""Residual of an adjoint over its right-hand side: gradients are checked to 1e-6 and better."""
+DIGITS = 1e-8
+"""Residual of an adjoint over its right-hand side, and about the relative error of a gradient."""
 _ITERATIONS, _RESTART = 2000, 60
 _UZAWA = 100
 """Of Uzawa's iterations, each of which gains a digit or so."""
@@ -70,14 +70,22 @@ class Adjoint:
         if not self._symmetric:
             self._matrix = PETSc.Mat().createTranspose(self._matrix)
         self._ksp = PETSc.KSP().create(self._assembler.comm)
-        self._ksp.setType("gmres")
-        self._ksp.setGMRESRestart(_RESTART)
-        self._ksp.setPCSide(PETSc.PC.Side.RIGHT)
         self._ksp.setPC(newton.ksp.getPC())
         self._ksp.setOperators(self._matrix, self._assembler.tangent.matrix)
         self._ksp.setTolerances(rtol=DIGITS, atol=0.0, max_it=_ITERATIONS)
+        if newton.ksp.getType() == "cg":
+            self._ksp.setType("cg")
+            self._ksp.setNormType(PETSc.KSP.NormType.UNPRECONDITIONED)
+        else:
+            self._take_gmres()
         self._rows: list[FloatArray] | None = None
         self._iterations = 0
+
+    def _take_gmres(self) -> None:
+        self._ksp.setType("gmres")
+        self._ksp.setGMRESRestart(_RESTART)
+        self._ksp.setPCSide(PETSc.PC.Side.RIGHT)
+        self._ksp.setNormType(PETSc.KSP.NormType.UNPRECONDITIONED)
 
     @stage("adjoint")
     def solve(self, derivative: FloatArray, of_scalars: FloatArray) -> AdjointState:
@@ -151,6 +159,9 @@ class Adjoint:
         self._assembler.remove_constrained(self._x)
         with options.in_force(), petsc_errors(), linear.left_as_it_is():
             self._ksp.solve(self._x, self._y)
+            if self._ksp.getConvergedReason() < 0 and self._ksp.getType() == "cg":
+                self._take_gmres()  # an unstable equilibrium has an indefinite tangent
+                self._ksp.solve(self._x, self._y)
         self._iterations += self._ksp.getIterationNumber()
         reason = self._ksp.getConvergedReason()
         if reason < 0:
