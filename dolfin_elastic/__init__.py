@@ -112,6 +112,7 @@ if TYPE_CHECKING:
     from dolfin_elastic.solvers.eigen.modal import Modal as Modal
     from dolfin_elastic.solvers.statics.statics import Statics as Statics
     from dolfin_elastic.study.fit.fit import fit as fit
+    from dolfin_elastic.study.gradient.gradient import gradient as gradient
     from dolfin_elastic.study.identify.identify import identify as identify
     from dolfin_elastic.study.sweep.sweep import sweep as sweep
 
@@ -185,6 +186,7 @@ _PLACES = {
     "solvers.statics.statics": ("Statics",),
     "solvers.dynamics.dynamics": ("Dynamics",),
     "study.sweep.sweep": ("sweep",),
+    "study.gradient.gradient": ("gradient",),
     "solvers.eigen.modal": ("Modal",),
     "solvers.eigen.buckling": ("Buckling",),
     "study.fit.fit": ("fit",),

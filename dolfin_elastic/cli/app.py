@@ -25,7 +25,6 @@ from typer.core import TyperCommand, TyperGroup
 
 from dolfin_elastic.cli.converge import converge
 from dolfin_elastic.cli.fit import fit
-from dolfin_elastic.cli.gradient import gradient
 from dolfin_elastic.cli.import_deck import import_deck
 from dolfin_elastic.cli.look.command import look
 from dolfin_elastic.cli.materials import material, materials
@@ -34,6 +33,7 @@ from dolfin_elastic.cli.run import Trust, collect_garbage, log_to_screen, restar
 from dolfin_elastic.cli.sweep import sweep
 from dolfin_elastic.cli.tools.convert import convert
 from dolfin_elastic.cli.tools.files import new, schema
+from dolfin_elastic.cli.tools.gradient import gradient
 from dolfin_elastic.cli.tools.plot import plot
 from dolfin_elastic.cli.tools.report import report
 from dolfin_elastic.cli.tools.verify import verify

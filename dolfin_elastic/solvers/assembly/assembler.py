@@ -409,14 +409,6 @@ class Residual:
             self.tied_nodal = self.owned[self._dofs.tied_dofs]
             self.owned[:] = self._dofs.collect(self.owned)
 
-    def move_prescribed(self) -> None:
-        """Moves what is prescribed of the problem's unknowns to its values. Collective."""
-        dofs, w = self._dofs, self._dofs.problem.w.x.array
-        w[: dofs.size] -= dofs.differences()
-        dofs.extend(w)
-        dofs.problem.w.x.scatter_forward()
-        dofs.problem.unknowns.w_to_u()
-
     def evaluate(self, x: PETSc.Vec, f: PETSc.Vec, *, target: FloatArray | None = None) -> None:
         """Evaluates the residual with its Dirichlet conditions.
 
@@ -543,12 +535,6 @@ class Assembler(ConstrainedDofs):
     def destroy(self) -> None:
         """Frees the tangent's matrix."""
         self.tangent.destroy()
-
-
-def out_of_balance(problem: Problem) -> Residual:
-    """The residual of a problem without all that a solution needs beside it. Collective."""
-    dofs = ConstrainedDofs(problem)
-    return Residual(dofs, problem.weak_form.residual, None, Reactions(dofs, None, {}, None), None)
 
 
 def compiled(problem: Problem, forms: Sequence[ufl.Form]) -> list[fem.Form]:

@@ -93,7 +93,7 @@ class Adjoint:
 
         Args:
             derivative: dQ/dw, owned entries of all unknowns; a unit of Q per m.
-            of_scalars: dQ/ds.
+            of_scalars: dQ/ds, an entry for each scalar unknown.
 
         Raises:
             InputError: The linear solver has not converged.
@@ -167,7 +167,7 @@ class Adjoint:
         if reason < 0:
             raise InputError(
                 f"the adjoint was not found: {ksp_reason(reason)}",
-                expected='linear.solver = "direct", which has factors',
+                expected='solver.method = "direct", which has factors',
             )
         self._assembler.remove_constrained(self._y)
         return np.asarray(self._y.array_r.copy())

@@ -73,7 +73,7 @@ class Functional(ABC):
         """What it depends on the nodes' positions beside `form`, owned entries; None: nothing.
 
         Args:
-            V: Space of the positions.
+            V: Space of the positions, a vector at each node of the geometry.
         """
         return None
 

@@ -79,7 +79,7 @@ class Gradients:
 
         Args:
             newton: The solver, after the solve.
-            state: What it has found.
+            state: What it has found; its time counts.
         """
         here = Equilibrium(newton, self._functionals, state.t)
         adjoint = Adjoint(newton)
@@ -260,7 +260,7 @@ def gradient(
             "mean von_mises on fillet" or "von_mises on fillet", for which a smooth norm stands.
         by: Dotted keys of numbers of the case.
         fields: Keys of constants of materials whose values in all cells are parameters.
-        offsets: Surfaces that move along their normals.
+        offsets: Names of surfaces that move along their normals, each by itself.
         body: The mesh, if it is read already.
         petsc: PETSc options that win over the case's own.
         verify: Also solve twice more for each parameter, for Taylor's remainders.

@@ -22,7 +22,8 @@ from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.core.units import number_and_unit
 from dolfin_elastic.model.amplitude import PROPORTIONAL
 from dolfin_elastic.problem.problem import Problem
-from dolfin_elastic.solvers.assembly.assembler import Assembler, out_of_balance
+from dolfin_elastic.solvers.assembly.assembler import Assembler, Reactions, Residual
+from dolfin_elastic.solvers.assembly.dofs import ConstrainedDofs
 from dolfin_elastic.solvers.nonlinear.newton import Newton, scalar_unknowns
 from dolfin_elastic.study.gradient.functionals import Functional
 
@@ -57,7 +58,7 @@ class Equilibrium:
 
     Args:
         newton: After the solve.
-        t: Load factor, or time.
+        t: Load factor, or time [s].
     """
 
     def __init__(self, newton: Newton, functionals: Sequence[Functional], t: float) -> None:
@@ -83,12 +84,12 @@ class Equilibrium:
             sides = []
             for sign in (1.0, -1.0):
                 scalars.put(values + sign * step)
-                residual.move_prescribed()
+                _move_prescribed(self.assembler)
                 residual.assemble()
                 sides.append(self.numbers(residual.owned))
             columns.append((sides[0] - sides[1]) / (2 * step.sum()))
         scalars.put(values)
-        residual.move_prescribed()
+        _move_prescribed(self.assembler)
         return np.column_stack(columns)
 
     def numbers(self, forces: FloatArray) -> FloatArray:
@@ -159,12 +160,7 @@ class MaterialConstant(Parameter):
 
 
 class CaseNumber(Parameter):
-    """Any other number of a case: the problem is made anew with it, on the same mesh.
-
-    Args:
-        case: With the number.
-        body: The mesh.
-    """
+    """A number of a case: the problem is made anew with another one, on the same mesh."""
 
     def __init__(self, key: str, case: Case, body: Body) -> None:
         given = case.value_at(key)
@@ -191,8 +187,10 @@ class CaseNumber(Parameter):
         bordered = equilibrium.newton.bordered
         equations: FloatArray = np.zeros(0)
         if bordered is None:
-            residual = out_of_balance(changed)
-            residual.move_prescribed()
+            dofs = ConstrainedDofs(changed)
+            forces = Reactions(dofs, None, {}, None)
+            residual = Residual(dofs, changed.weak_form.residual, None, forces, None)
+            _move_prescribed(dofs)
             residual.assemble()
         else:
             assembler = Assembler(changed)
@@ -200,7 +198,7 @@ class CaseNumber(Parameter):
             assert scalars is not None
             scalars.put(bordered.scalars.get())
             residual = assembler.residual
-            residual.move_prescribed()
+            _move_prescribed(assembler)
             residual.assemble()
             equations = scalars.residual(residual)
             assembler.destroy()
@@ -212,6 +210,15 @@ class CaseNumber(Parameter):
         finally:
             here.w.x.array[:] = start
             here.unknowns.w_to_u()
+
+
+def _move_prescribed(dofs: ConstrainedDofs) -> None:
+    """Moves what is prescribed of the problem's unknowns to its values. Collective."""
+    w = dofs.problem.w
+    w.x.array[: dofs.size] -= dofs.differences()
+    dofs.extend(w.x.array)
+    w.x.scatter_forward()
+    dofs.problem.unknowns.w_to_u()
 
 
 def _take_state(changed: Problem, here: Problem, t: float) -> None:

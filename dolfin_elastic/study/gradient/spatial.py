@@ -74,8 +74,7 @@ class CellConstant(_Field):
         """dQ/d ln m of each owned cell, in the unit of Q; 0 in other materials. Collective.
 
         Args:
-            adjoint: Of the functional.
-            functional: At the equilibrium.
+            functional: At the equilibrium at which its value was asked for last.
         """
         self._take(adjoint, functional)
         test = ufl.TestFunction(self._cells)
@@ -227,9 +226,6 @@ def nodes_moved(body: Body, surface: str) -> FloatArray:
     """Motion of nodes as a surface moves along its outward normal by 1 m. Collective.
 
     Nodes inside the body stay where they are.
-
-    Args:
-        surface: Its name.
 
     Returns:
         At the local nodes of the geometry, ghosts included, shape (nodes, dim).

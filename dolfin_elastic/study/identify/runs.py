@@ -85,7 +85,7 @@ class Runs:
 
     Args:
         case: With the values from which the search starts.
-        unknowns: The k values that are sought.
+        unknowns: The k values that are sought, each with its dotted key.
         sets: What was measured; points of fields that are outside of the body are left out.
         petsc: PETSc options that win over the case's own.
         comm: The ranks that compute one run together.
