@@ -8,17 +8,13 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-import ufl
-from ufl.core.expr import Expr
 
 from dolfin_elastic.core.errors import InputError, nearest
-from dolfin_elastic.core.parallel import LargestRow, largest_row, total
+from dolfin_elastic.core.parallel import LargestRow, largest_row
 from dolfin_elastic.core.types import AnyArray, FloatArray, IntArray
 from dolfin_elastic.mesh.geometry.curved import cell_volumes
 from dolfin_elastic.mesh.geometry.simplices import cell_corners
-from dolfin_elastic.model.kinematics import WeightedMeasure, weight
 from dolfin_elastic.problem.state import State
-from dolfin_elastic.results.cell_fields import cell_components, unknowns_of_outputs
 from dolfin_elastic.results.derived.part_numbers import (
     PartNumbers,
     has_length,
@@ -31,7 +27,6 @@ from dolfin_elastic.results.probes import Probe
 from dolfin_elastic.results.recovery.stress import StressRecovery
 
 if TYPE_CHECKING:
-    from dolfin_elastic.problem.material_regions import MaterialRegion
     from dolfin_elastic.problem.problem import Problem
 
 _AT_REST = {"jacobian": 1.0}
@@ -151,18 +146,6 @@ class Measurement(ABC):
     def of(self, state: State) -> Measured:
         """The quantity of a state."""
 
-    def derivative(self, state: State) -> ufl.Form | None:
-        """dQ/dw at a state, a linear form in the test function of all unknowns of the problem.
-
-        Where nothing but the displacement is unknown that is dQ/du.  The form reads the unknowns of
-        the last state that was evaluated, see `unknowns_of_outputs`: assemble it before the next.
-
-        Returns:
-            None where there is no form: of values at points, extremes and percentiles, and of
-            fields that follow in NumPy.
-        """
-        return None
-
 
 class AtPoint(Measurement):
     """The value at a point, see `Probe`."""
@@ -258,8 +241,6 @@ class Integral(Measurement):
         super().__init__(quantity, problem)
         one = [quantity.name], [quantity.reduction]
         self._numbers = PartNumbers(problem, self.kind, self.part, *one)
-        self._w = unknowns_of_outputs(problem)
-        self._form: ufl.Form | None = None
 
     def of(self, state: State) -> Measured:
         """See `Measurement`."""
@@ -267,60 +248,6 @@ class Integral(Measurement):
         if length and self.quantity.component(len(row)) is None:
             return Measured(float(length[0][0]))
         return Measured(float(self.quantity.scalars(row[None])[0]))
-
-    def derivative(self, state: State) -> ufl.Form | None:
-        """See `Measurement`."""
-        factor = reduction_of(self.quantity.reduction)[0].factor
-        if factor is None:
-            return None
-        (row,) = self._numbers(state).values()  # leaves the state's unknowns in _w
-        if self._form is None:
-            self._along = self.problem.constant([0.0] * len(row))
-            self._form = self._derived(len(row))
-        number, size = self.quantity.component(len(row)), float(np.linalg.norm(row))
-        along = row / size if number is None and size else np.eye(len(row))[number or 0]
-        self._along.value[:] = along * factor(self._numbers.size) * self.problem.thickness
-        return self._form
-
-    def _derived(self, size: int) -> ufl.Form | None:
-        """Derivative of the integral of the field's components times `_along`."""
-        problem, mesh = self.problem, self.problem.body.mesh
-        here = [bool(total(problem.body.comm, len(piece.cells))) for piece in self._numbers.pieces]
-        rows = {
-            number: self._components(region, size)
-            for number, region in enumerate(problem.regions, start=1)
-            if here[number - 1]
-        }
-        if any(row is None for row in rows.values()):
-            return None
-        surface = self.kind == "surface"
-        data = [
-            (number, np.column_stack([p.cells, p.side]).reshape(-1) if surface else p.cells)
-            for number, p in enumerate(self._numbers.pieces, start=1)
-        ]
-        over = ufl.Measure(
-            "ds" if surface else "dx",
-            domain=mesh,
-            subdomain_data=data,
-            metadata={"quadrature_degree": 2 * problem.context.order},
-        )
-        rho = weight(problem.geometry, problem.X, None)
-        value = sum(
-            ufl.dot(self._along, ufl.as_vector(row)) * WeightedMeasure(rho, over(number))
-            for number, row in rows.items()
-            if row is not None
-        )
-        return ufl.derivative(value, self._w, ufl.TestFunction(problem.W))
-
-    def _components(self, region: MaterialRegion, size: int) -> list[Expr] | None:
-        """Components of the field in UFL; None: they have no form."""
-        name = self.quantity.name
-        if name == "displacement":
-            u = self.problem.context.unknowns.displacement(self._w)
-            return [u[i] for i in range(size)]
-        if FIELDS[name].formula is None or FIELDS[name].of_tensor is not None:
-            return None
-        return cell_components(self.problem, region, self._w, [name])[0]
 
 
 def size_at(problem: Problem, place: tuple[float, ...]) -> float:

@@ -6,13 +6,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from dolfinx import fem, la
+from dolfinx import fem
 from helpers.bodies import soft_and_hard
 from mpi4py import MPI
 
 from dolfin_elastic import LinearElastic, NeoHookean, Problem, box_body, rectangle_body
 from dolfin_elastic.core.errors import InputError, MeshError
-from dolfin_elastic.core.parallel import total
 from dolfin_elastic.problem.state import State
 from dolfin_elastic.results.derived.part_numbers import PartNumbers
 from dolfin_elastic.results.derived.reduction import Reduction
@@ -154,67 +153,6 @@ def test_wrong_parts_and_components() -> None:
     state = state_of(problem, lambda x: np.array([x[0], x[1]]))
     with pytest.raises(InputError, match="cauchy_stress_x"):
         Quantity("cauchy_stress_x", "right", "mean").on(problem).of(state)
-
-
-INTEGRALS = [
-    ("displacement_x", "right", "integral"),
-    ("displacement", "hard", "mean"),
-    ("first_piola_xx", "right", "integral"),
-    ("cauchy_stress", "top", "mean"),
-    ("von_mises", "hard", "mean"),
-    ("energy_density", None, "integral"),
-    ("pressure", "hard", "mean"),
-    ("green_strain_xy", "soft", "integral"),
-]
-
-
-@pytest.mark.parametrize("quantity", INTEGRALS)
-@pytest.mark.parametrize("kind", ["box", "plane-stress", "axisymmetric", "mixed"])
-def test_derivatives(quantity: tuple[str, str, str], kind: str) -> None:
-    """dQ/dw in a direction against central differences of the value."""
-    if kind in ("box", "mixed"):
-        body, more = box_body(size=(2, 1, 1.5), cells=(2, 1, 2)), {}
-    else:
-        body, more = rectangle_body(size=(2, 1), cells=(4, 2), origin=(0.5, 0)), {"geometry": kind}
-    if kind == "plane-stress":
-        more["thickness"] = 0.3
-    law = NeoHookean(mu=80.0, nu=0.4999) if kind == "mixed" else LAW
-    body = soft_and_hard(body, at=1.0)
-    problem = Problem(body, {"soft": law, "hard": law}, degree=2, **more)
-    dim = body.dim
-    state = state_of(problem, lambda x: stretched(x if dim == 3 else [x[0], x[1], 0 * x[0]])[:dim])
-    measurement = Quantity(*quantity).on(problem)
-    form = measurement.derivative(state)
-    assert form is not None
-    slope = fem.assemble_vector(fem.form(form))
-    slope.scatter_reverse(la.InsertMode.add)
-    w = state.w or state.u
-    own = w.function_space.dofmap.index_map.size_local * w.function_space.dofmap.index_map_bs
-    along = fem.Function(w.function_space)
-    along.x.array[:own] = np.cos(np.arange(own))
-    along.x.scatter_forward()
-    exact = total(COMM, float(slope.array[:own] @ along.x.array[:own]))
-    start, values = w.x.array.copy(), []
-    for step in (1e-6, -1e-6):
-        w.x.array[:] = start + step * along.x.array
-        if w is not state.u:
-            state.u.x.array[:] = state.w.sub(0).collapse().x.array
-        values.append(measurement.of(state).value)
-    difference = (values[0] - values[1]) / 2e-6
-    assert exact == pytest.approx(difference, rel=1e-6, abs=1e-7 * abs(values[0]))
-
-
-def test_what_has_no_derivative() -> None:
-    problem = Problem(box_body(size=(2, 1, 1.5), cells=(2, 1, 1)), LAW, degree=1)
-    state = state_of(problem, stretched)
-    for quantity in (
-        ("displacement", (1.0, 0.5, 0.5), "at"),
-        ("von_mises", "right", "max"),
-        ("displacement", "right", "percentile:50"),
-        ("tresca", "right", "mean"),
-        ("normal", "right", "mean"),
-    ):
-        assert Quantity(*quantity).on(problem).derivative(state) is None
 
 
 def test_places_of_det_F() -> None:

@@ -20,7 +20,7 @@ from dolfinx import fem, la
 from mpi4py import MPI
 from ufl.core.expr import Expr
 
-from dolfin_elastic.core.errors import InputError, nearest
+from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.ghosts import assembled
 from dolfin_elastic.core.parallel import total
 from dolfin_elastic.core.types import FloatArray, IndexArray
@@ -94,6 +94,8 @@ class IntegralFunctional(Functional):
         form: The integral of the field, of its p-th power in a norm.
         power: p; 1 of others.
         size: Integral by which it is divided; None: by nothing.
+        along: Constant of the form, a vector: the integral is that of the components of the field
+            along it, and the length of the row of their integrals is the number; None: of others.
     """
 
     def __init__(
@@ -105,8 +107,10 @@ class IntegralFunctional(Functional):
         *,
         power: int = 1,
         size: ufl.Form | None = None,
+        along: fem.Constant | None = None,
     ) -> None:
         super().__init__(name, unit, problem)
+        self._along = along
         self._power, self._size, self._mean = power, 1.0, problem.constant(0.0)
         test = ufl.TestFunction(problem.W)
         forms = [form, ufl.derivative(form, problem.w, test), *([] if size is None else [size])]
@@ -117,9 +121,17 @@ class IntegralFunctional(Functional):
 
     def value(self, forces: FloatArray) -> float:
         """See `Functional`."""
+        if self._along is not None:
+            parts = [self._component(axis) for axis in np.eye(len(self._along.value))]
+            self._along.value[:] = _direction(np.array(parts), None)
         mean = integral(self.problem, self._value) / self._size
         self._mean.value = mean
         return float(mean ** (1 / self._power)) if self._power > 1 else mean
+
+    def _component(self, axis: FloatArray) -> float:
+        assert self._along is not None
+        self._along.value[:] = axis
+        return integral(self.problem, self._value)
 
     @property
     def factor(self) -> float:
@@ -368,22 +380,25 @@ def _of_field(
         raise InputError(
             f"'{quantity.name}' has no derivative",
             where=_OPTION,
-            expected="displacement, stresses, strains or the energy density; "
-            + nearest(quantity.name, FIELDS),
+            expected="displacement, stresses, strains or the energy density",
         )
-    number = quantity.component(size)
-    if number is None and not has_length(quantity.name, FIELDS[quantity.name]):
+    number, smooth = quantity.component(size), reduction == "max"
+    if smooth and number is None and not has_length(quantity.name, FIELDS[quantity.name]):
         raise InputError(
             f"'{wanted.name}' has several components",
             where=_OPTION,
             expected=f"such as '{component_names(quantity.name, size)[0]}'",
         )
+    along = problem.constant([0.0] * size) if number is None and not smooth else None
 
     def chosen(row: Sequence[Expr]) -> Expr:
-        return row[number] if number is not None else ufl.sqrt(sum(one * one for one in row))
+        if number is not None:
+            return row[number]
+        if along is not None:
+            return ufl.dot(along, ufl.as_vector(row))
+        return ufl.sqrt(sum(one * one for one in row))
 
     measures = _measures(problem, "surface" if surface else "region", part)
-    smooth = reduction == "max"
     exponent = power if smooth else 1
     form = sum(
         (
@@ -399,8 +414,8 @@ def _of_field(
     unit = FIELDS[quantity.name].unit
     if reduction == "integral":
         over = "m^2" if surface else "m^3"
-        return IntegralFunctional(name, f"{unit} {over}".strip(), problem, form)
-    return IntegralFunctional(name, unit, problem, form, power=exponent, size=whole)
+        return IntegralFunctional(name, f"{unit} {over}".strip(), problem, form, along=along)
+    return IntegralFunctional(name, unit, problem, form, power=exponent, size=whole, along=along)
 
 
 def _components(problem: Problem, name: str) -> list[list[Expr] | None]:
