@@ -10,6 +10,7 @@ import sys
 import time
 from contextlib import closing
 from functools import partial
+from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -65,6 +66,9 @@ def sweep(
         Path | None,
         typer.Option("--slurm", metavar="FILE", help="Write an array job; compute nothing."),
     ] = None,
+    retry: Annotated[
+        bool, typer.Option("--retry", help="Compute again what has failed before.")
+    ] = False,
     row: Annotated[int | None, typer.Option("--row", min=1, metavar="K", hidden=True)] = None,
     worker: Annotated[bool, typer.Option("--worker", hidden=True)] = False,
     output: Annotated[
@@ -88,7 +92,8 @@ def sweep(
     RESULT is as `converge --until` takes it, a column of history.csv, or frequency_1; by default
     those by which a part is judged, and probes.
     The table, a plot and a folder for each run go to CASE_sweep.  What is there already is not
-    computed again, also after a kill; a run that fails stays in the table with its cause.
+    computed again, also after a kill; a run that fails stays in the table with its cause, and
+    --retry computes it again.
     """
     options, at_start = parse_arguments(petsc or [])
     start(at_start)
@@ -109,7 +114,16 @@ def sweep(
         )
     means = with_means(read, [read_setting(*_split(text)) for text in settings])
     plan = design(means, together=together, samples=samples, sobol=sobol, seed=seed)
-    sweeping = planned(read, plan, output=folder, tell=tell or (), petsc=options, comm=comm)
+    sweeping = planned(
+        read,
+        plan,
+        output=folder,
+        tell=tell or (),
+        petsc=options,
+        # Of several processes the first one has said it already, and a task is about its own row.
+        retry=lambda one: retry and not worker and slurm is None and row in (None, one.number),
+        comm=comm,
+    )
     visible = comm.rank == 0 and not quiet
     if slurm is not None:
         on_root(comm, partial(_write_slurm, slurm, len(sweeping.rows)))
@@ -169,15 +183,15 @@ def _one_by_one(sweeping: Sweep, only: int | None, *, visible: bool, alone: bool
         alone: Without the table, which another process writes.
     """
     from dolfin_elastic.core.parallel import on_root
-    from dolfin_elastic.study.sweep.table import write_table
+    from dolfin_elastic.study.sweep.table import TableAtTimes
 
-    comm = sweeping.comm
+    comm, table = sweeping.comm, TableAtTimes()
     with closing(sweeping.run(only)) as rows:
         for row in rows:
             if visible:
                 print(_line(sweeping, row), flush=True)
             if not alone:
-                on_root(comm, partial(write_table, sweeping.results(), plot=False))
+                on_root(comm, partial(table.write, sweeping.so_far))
 
 
 def _line(sweeping: Sweep, row: Row) -> str:
@@ -193,6 +207,7 @@ def _line(sweeping: Sweep, row: Row) -> str:
         f"{name} {quantity(value, unit_of(name))}"
         + (f" ± {percent(row.errors[name])}" if row.errors.get(name, -1.0) >= 0.0 else "")
         for name, value in list(row.numbers.items())[:_MOST_SHOWN]
+        if isfinite(value)
     ]
     if row.cause:
         numbers.insert(0, f"{row.status}: {row.cause.partition(chr(10))[0]}")
@@ -316,7 +331,7 @@ def _write_slurm(path: Path, count: int) -> None:
         for before, word in zip(["", *words], words, strict=False)
         if not (before in left or word in left or word.startswith(("--slurm=", "--jobs=")))
     ]
-    again = shlex.join(["dolfin-elastic", *kept])
+    again = shlex.join(["dolfin-elastic", *(word for word in kept if word != "--retry")])
     one, rest = shlex.join(["dolfin-elastic", kept[0]]), shlex.join(kept[1:])
     text = f"""\
 #!/bin/bash

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+import re
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from dolfin_elastic.case.case import Case
+from dolfin_elastic.results.fields import FIELDS
 from dolfin_elastic.results.finished.findings import extremes_of, modes_of
 from dolfin_elastic.results.finished.run import FinishedRun, column_unit
 from dolfin_elastic.results.verdict import ELSEWHERE, doubt, reliable
@@ -14,6 +17,23 @@ from dolfin_elastic.study.wanted import Wanted
 
 _UNITS = {"von_mises": "Pa", "displacement": "m", "safety_factor": "", "seconds": "s"}
 _FIRST = ("safety_factor", "von_mises", "displacement")
+NO_RESULT = "this run has no such result"
+_COLUMNS = {
+    *("displacement", "external_work", "max_displacement", "balance_force", "balance_moment"),
+    *("min_jacobian", "max_jacobian", "inverted_cells", "max_plastic_strain", "yielded_fraction"),
+}
+_ENERGIES = {
+    *("strain", "kinetic", "external", "total", "relaxing", "remembered", "springs", "contact"),
+    *("damping", "bulk_viscosity", "dashpots", "friction", "potential", "balance", "dissipated"),
+}
+_OF_PARTS = (
+    *("reaction", "momentum", "angular_momentum", "moment", "section_force", "section_moment"),
+    *("torque", "penetration", "contact_area", "friction_dissipation", "bolt_force", "pressure"),
+    *("obstacle_force", "obstacle_displacement", "obstacle_velocity", "shortening", "volume"),
+    *("stick_share", "smallest_distance"),
+)
+_NUMBERED = {"frequency": "modal", "load_factor": "buckling"}
+_OF_VECTOR, _OF_TENSOR = re.compile(r"_[ru]?[xyz]$"), re.compile(r"_[xyz]{1,2}$")
 _MODES = 3
 """Modes that are told unless others are asked for."""
 
@@ -91,6 +111,41 @@ def _extremes(run: FinishedRun) -> tuple[dict[str, float], dict[str, float], dic
 
 def _number(value: object) -> float:
     return float(value) if isinstance(value, int | float) else math.nan
+
+
+def may_have(case: Case, name: str) -> bool:
+    """Whether a run of a case may have a result, by the names in the case. Not collective.
+
+    Columns of `history.csv` appear with what they are of: a support, a probe, friction, a law that
+    relaxes; and only so many modes are found.
+    """
+    if name in _COLUMNS or name in FIELDS or name.removesuffix("_energy") in _ENERGIES:
+        return True
+    kind, _, number = name.rpartition("_")
+    if kind in _NUMBERED and number.isdigit():
+        return getattr(case, _NUMBERED[kind]) is not None
+    words = {*_words(case.to_dict()), *(support.label for support in case.support)}
+    stem = _OF_VECTOR.sub("", name)
+    if stem != name and stem in words:  # the displacement of a probe
+        return True
+    if stem in _OF_PARTS or any(stem == f"{of}_{part}" for of in _OF_PARTS for part in words):
+        return True
+    pieces = _OF_TENSOR.sub("", name).split("_")
+    splits = (("_".join(pieces[:n]), "_".join(pieces[n:])) for n in range(1, len(pieces)))
+    return any(part in words and rest in FIELDS for part, rest in splits)
+
+
+def _words(value: object) -> Iterator[str]:
+    """All keys and texts in tables."""
+    if isinstance(value, Mapping):
+        for key, inner in value.items():
+            yield str(key)
+            yield from _words(inner)
+    elif isinstance(value, list | tuple):
+        for inner in value:
+            yield from _words(inner)
+    elif isinstance(value, str):
+        yield value
 
 
 def unit_of(name: str) -> str:

@@ -11,7 +11,7 @@ import hashlib
 import json
 import math
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Literal, cast, get_args
@@ -148,7 +148,12 @@ def known(folder: Path) -> dict[str, Row]:
     }
 
 
-def plan(folder: Path, rows: Sequence[tuple[Values, str]], known: Mapping[str, Row]) -> list[Row]:
+def plan(
+    folder: Path,
+    rows: Sequence[tuple[Values, str]],
+    known: Mapping[str, Row],
+    retry: Callable[[Row], bool] = lambda row: False,
+) -> list[Row]:
     """The rows of a sweep, those that a folder has as they are; makes folders for the others.
 
     Not collective.
@@ -156,6 +161,7 @@ def plan(folder: Path, rows: Sequence[tuple[Values, str]], known: Mapping[str, R
     Args:
         rows: Values and digest of each.
         known: From `known`.
+        retry: Which rows that have failed become planned again, in their folders.
 
     Raises:
         OutputError: A folder or record cannot be written.
@@ -173,7 +179,11 @@ def plan(folder: Path, rows: Sequence[tuple[Values, str]], known: Mapping[str, R
             used.add(name)
             row = rest[digest] = Row(number, values, name, digest)
             write(folder, row)
-        result.append(replace(row, number=number, values=values))
+        row = replace(row, number=number, values=values)
+        if row.status == "failed" and retry(row):
+            row = rest[digest] = Row(number, values, row.folder, digest)
+            write(folder, row)
+        result.append(row)
     return result
 
 

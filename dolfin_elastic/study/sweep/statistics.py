@@ -74,13 +74,11 @@ def statistics(design: Design, rows: Sequence[Row]) -> dict[str, Statistics]:
     # Saltelli's third kind of sample varies one setting: only A and B are drawn independently.
     drawn = [row for row in good if not design.base or row.number <= 2 * design.base]
     for name in names:
-        values = np.array([row.numbers.get(name, math.nan) for row in drawn])
-        values = values[np.isfinite(values)]
+        has = [row for row in drawn if math.isfinite(row.numbers.get(name, math.nan))]
+        values = np.array([row.numbers[name] for row in has])
         if len(values) < _FEWEST:
             continue
-        errors = [
-            row.errors.get(name, math.nan) * abs(row.numbers.get(name, math.nan)) for row in drawn
-        ]
+        errors = [row.errors.get(name, math.nan) * abs(row.numbers[name]) for row in has]
         result[name] = Statistics(
             float(values.mean()),
             float(values.std(ddof=1)),

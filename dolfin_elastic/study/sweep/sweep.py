@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Generator, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -21,13 +21,14 @@ from dolfin_elastic.core.lease import Lease
 from dolfin_elastic.core.parallel import on_root
 from dolfin_elastic.core.petsc_options import PetscOptions, PetscValue
 from dolfin_elastic.core.together import loop_together
+from dolfin_elastic.core.units import number_and_unit
 from dolfin_elastic.mesh.body import Body
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.problem.state import State
 from dolfin_elastic.results.recovery.error import ErrorEstimator
 from dolfin_elastic.results.recovery.peaks import Peak
 from dolfin_elastic.study.sweep import rows as files
-from dolfin_elastic.study.sweep.numbers import Known, known_of
+from dolfin_elastic.study.sweep.numbers import NO_RESULT, Known, known_of, may_have
 from dolfin_elastic.study.sweep.rows import Row, Status
 from dolfin_elastic.study.sweep.settings import Design, design, read_setting, with_means
 from dolfin_elastic.study.sweep.table import Results, write_table
@@ -67,8 +68,18 @@ class Sweep:
     _ended: dict[int, Row] = field(default_factory=dict)
 
     def results(self) -> Results:
-        """The table as it is now. Collective."""
+        """The table as the records have it now, those of other processes, too. Collective."""
         rows = on_root(self.comm, lambda: [self._now(row) for row in self.rows])
+        return self._table(rows)
+
+    def so_far(self) -> Results:
+        """The table of what has ended here or before, without a look at records. Not collective.
+
+        Records would be read again after every row: of n rows n^2/2 times.
+        """
+        return self._table([self._ended.get(row.number, row) for row in self.rows])
+
+    def _table(self, rows: Sequence[Row]) -> Results:
         return Results(self.case.file, self.folder, self.design, tuple(rows))
 
     def _now(self, row: Row) -> Row:
@@ -92,7 +103,7 @@ class Sweep:
             Each row that has ended here; those that had ended before are in `results`.
 
         Raises:
-            InputError: The first run has no result of a name that is asked for.
+            InputError: A run has no result of a name that is asked for, and none can have it.
             OutputError: Results cannot be written.
             StoppedError: A signal has asked for the end; the rows before it are complete.
         """
@@ -100,8 +111,8 @@ class Sweep:
 
     def _run(self, only: int | None) -> Generator[Row, None, None]:
         keys = {row.number: self.bodies.key(case) for row, case in self._both()}
-        order = list(dict.fromkeys(keys.values()))
-        for row, case in sorted(self._both(), key=lambda both: order.index(keys[both[0].number])):
+        order = {key: n for n, key in enumerate(dict.fromkeys(keys.values()))}
+        for row, case in sorted(self._both(), key=lambda both: order[keys[both[0].number]]):
             if only is not None and row.number != only:
                 continue
             if (ended := self._claimed(row, case)) is not None:
@@ -118,14 +129,32 @@ class Sweep:
                 return None
             ended = self._solve(known, case)
             on_root(self.comm, partial(files.write, self.folder, ended))
+        self._ended[row.number] = ended
         return ended
+
+    def _may_have(self, text: str, name: str) -> bool:
+        """Whether some run has a result, or may have it by what its case says. Collective.
+
+        A field on a part exists by materials and tables: alike where only numbers vary.
+        """
+
+        def on_this_rank() -> bool:
+            ended = (*self._ended.values(), *self.rows)
+            if any(one in row.numbers for row in ended for one in (text, name)):
+                return True
+            if self.told[text].part or self.told[text].reduction:
+                values = (value for row in self.rows for value in row.values.values())
+                return not all(number_and_unit(value) for value in values)
+            return any(may_have(case, name) for case in self.cases)
+
+        return on_root(self.comm, on_this_rank)
 
     def _both(self) -> Iterator[tuple[Row, Case]]:
         return zip(self.rows, self.cases, strict=True)
 
     def _solve(self, row: Row, case: Case) -> Row:
         """One run. Collective."""
-        begin, told = time.monotonic(), _Told(self.told, case)
+        begin, told = time.monotonic(), _Told(self.told, self.cases, self._may_have)
         status: Status = "solved"
         cause, known, numbers = "", Known(), dict[str, float]()
         try:
@@ -142,7 +171,8 @@ class Sweep:
         except (InputError, SolveError) as error:
             status, cause = "failed", str(error)
         else:
-            known, numbers = told.judged(known), told.numbers(known)
+            numbers = told.numbers(known)
+            known = told.judged(known)
         if known.failure:
             status, cause = "audit", f"audit: {known.failure}"
         return replace(
@@ -161,19 +191,26 @@ class _Told:
 
     Args:
         wanted: By their names as they were written; none: the usual ones.
+        cases: Of all runs.
+        elsewhere: Whether another run may have a result, by its text and name; collective.
     """
 
-    def __init__(self, wanted: Mapping[str, Wanted], case: Case) -> None:
-        self._wanted, self._case = wanted, case
-        self._measured = dict[str, float]()
+    def __init__(
+        self,
+        wanted: Mapping[str, Wanted],
+        cases: Sequence[Case],
+        elsewhere: Callable[[str, str], bool] = lambda text, name: False,
+    ) -> None:
+        self._wanted, self._cases, self._elsewhere = wanted, cases, elsewhere
+        self._measured, self._absent = dict[str, float](), dict[str, InputError]()
         self._errors, self._remarks = dict[str, float](), dict[str, str]()
 
     def check(self, body: Body) -> None:
         """Checks names of parts before anything is computed. Not collective."""
-        probes = [*self._case.output.probes]
-        supports = [support.label for support in self._case.support]
+        probes = dict.fromkeys(name for case in self._cases for name in case.output.probes)
+        supports = dict.fromkeys(one.label for case in self._cases for one in case.support)
         for wanted in self._wanted.values():
-            wanted.check(body, probes, supports)
+            wanted.check(body, [*probes], [*supports])
 
     def follow(self, run: CaseRun) -> None:
         """Runs an analysis to its end, and measures fields in its last state. Collective."""
@@ -185,13 +222,17 @@ class _Told:
     def _measure(self, state: State, problem: Problem | None) -> None:
         assert problem is not None
         for name, wanted in self._wanted.items():
-            if wanted.part or wanted.reduction:
+            if not (wanted.part or wanted.reduction):
+                continue
+            try:
                 number = WantedNumber(wanted, problem)
                 measured, _ = number(state)
-                self._measured.setdefault(name, measured.value)
-                if wanted.is_stress and state.v is None:
-                    peak = number.peak(measured, ErrorEstimator(problem)(state))
-                    self._judge(name, peak)
+            except InputError as error:  # a field of another material, for example
+                self._absent[name] = error
+                continue
+            self._measured.setdefault(name, measured.value)
+            if wanted.is_stress and state.v is None:
+                self._judge(name, number.peak(measured, ErrorEstimator(problem)(state)))
 
     def _judge(self, name: str, peak: Peak | None) -> None:
         """The error of a largest stress, or why it is not known."""
@@ -207,8 +248,10 @@ class _Told:
     def numbers(self, known: Known) -> dict[str, float]:
         """What is told, of all that is known.
 
+        What only other runs have is nan, with a remark.
+
         Raises:
-            InputError: The run has no such result, so none of the sweep will have it.
+            InputError: The run has no such result, and none of the sweep can have it.
         """
         every = {**known.numbers, **self._measured}
         if not self._wanted:
@@ -216,11 +259,17 @@ class _Told:
         result = {}
         for text, wanted in self._wanted.items():
             name = text if text in every else SAME.get(text, wanted.name)
+            if text not in self._measured and text in self._absent:
+                name = text
             if name not in every:
-                raise InputError(
+                error = self._absent.get(text) or InputError(
                     f"there is no result '{text}'", where="--tell", expected=nearest(name, every)
                 )
-            result[text if text in self._measured else name] = every[name]
+                if not self._elsewhere(text, name):
+                    raise error
+                why = f": {error.what}" if text in self._absent else ""
+                self._remarks[name] = f"{NO_RESULT}{why}"
+            result[text if text in self._measured else name] = every.get(name, math.nan)
         return result
 
     def judged(self, known: Known) -> Known:
@@ -257,6 +306,7 @@ def planned(
     output: str | PathLike[str] | None = None,
     tell: Sequence[str] = (),
     petsc: PetscOptions | None = None,
+    retry: Callable[[Row], bool] = lambda row: False,
     comm: MPI.Comm = MPI.COMM_WORLD,
 ) -> Sweep:
     """A sweep whose every case is right; makes the folders of its runs.  Collective.
@@ -268,6 +318,7 @@ def planned(
         tell: Results, as `converge --until` takes them, columns of history.csv, "frequency_1", ...;
             by default extremes, first modes and probes.
         petsc: PETSc options that win over the case's own.
+        retry: Which rows that have failed are to be computed again.
         comm: The ranks that compute one run together.
 
     Raises:
@@ -288,9 +339,9 @@ def planned(
         (one for one, digest in zip(cases, digests, strict=True) if digest not in known), None
     )
     if new is not None:  # what is wrong with all of them is said of the first, before any folder
-        new.make_problem(bodies.body_of(new, _Told(told, new)))
+        new.make_problem(bodies.body_of(new, _Told(told, cases)))
     pairs = list(zip(plan.rows, digests, strict=True))
-    rows = on_root(comm, lambda: files.plan(folder, pairs, known))
+    rows = on_root(comm, lambda: files.plan(folder, pairs, known, retry))
     return Sweep(case, plan, told, folder, cases, tuple(rows), options, bodies, comm)
 
 
@@ -305,6 +356,7 @@ def sweep(
     sobol: int | None = None,
     seed: int = 0,
     petsc: PetscOptions | None = None,
+    retry: bool = False,
     comm: MPI.Comm = MPI.COMM_WORLD,
 ) -> Results:
     """Computes a case with other values, and writes the table of all runs.  Collective.
@@ -317,6 +369,7 @@ def sweep(
         values: Dotted keys to lists, to texts with commas, or to distributions, see `settings`.
         output: See `planned`, as for `tell`, `petsc` and `comm`.
         together: See `design`, as for `samples`, `sobol` and `seed`.
+        retry: Compute again what has failed before.
 
     Raises:
         InputError: A key, a value or a result is wrong; nothing has been written.
@@ -326,7 +379,9 @@ def sweep(
     """
     settings = with_means(case, [read_setting(key, value) for key, value in values.items()])
     plan = design(settings, together=together, samples=samples, sobol=sobol, seed=seed)
-    sweeping = planned(case, plan, output=output, tell=tell, petsc=petsc, comm=comm)
+    sweeping = planned(
+        case, plan, output=output, tell=tell, petsc=petsc, retry=lambda _: retry, comm=comm
+    )
     try:
         for _ in sweeping.run():
             pass

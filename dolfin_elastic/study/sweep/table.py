@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Sequence
+import time
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from os import PathLike
@@ -21,7 +22,7 @@ from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.core.units import number_and_unit
 from dolfin_elastic.results.files import drafted, json_data, replace_text
 from dolfin_elastic.results.finished.curves import literal
-from dolfin_elastic.study.sweep.numbers import unit_of
+from dolfin_elastic.study.sweep.numbers import NO_RESULT, unit_of
 from dolfin_elastic.study.sweep.rows import Row
 from dolfin_elastic.study.sweep.settings import Design, short_names, worded
 from dolfin_elastic.study.sweep.statistics import Statistics, statistics
@@ -37,6 +38,8 @@ _NOTHING, _SMALL = 1e-6, 1e-4
 """Deviation over the mean that is none, and size over the largest that is not shown first."""
 _USEFUL = 64
 """Samples from which on Sobol's indices are worth something."""
+_PAUSE = 19.0
+"""Time between two tables over that which the first has taken."""
 _MOST_PANELS, _MOST_LINES = 6, 8
 _INK = ("#1f5f8b", "#b0562f", "#228833", "#7a3e9d", "#c79a00", "#444444", "#0f9d9d", "#d0527a")
 
@@ -102,8 +105,16 @@ class Results(Tabled):
             "seconds": [row.seconds for row in self.rows],
             "folder": [row.folder for row in self.rows],
             "cause": [row.cause for row in self.rows],
-            "remark": ["; ".join(f"{n}: {t}" for n, t in row.remarks.items()) for row in self.rows],
+            "remark": [
+                "; ".join(f"{name}: {text}" for name, text in self._remarks_on(row).items())
+                for row in self.rows
+            ],
         }
+
+    def _remarks_on(self, row: Row) -> Mapping[str, str]:
+        """Its remarks, and why cells are empty: other rows have results that it does not have."""
+        absent = [name for name in self.names if row.numbers and name not in row.numbers]
+        return {**dict.fromkeys(absent, NO_RESULT), **row.remarks}
 
     def texts(self, most: int | None = None, *, errors: bool = True) -> dict[str, list[str]]:
         """The table for people: heads with units to the cells below them.
@@ -123,7 +134,7 @@ class Results(Tabled):
                 result[f"{name} [{unit}]" if unit else name] = [f"{value:.6g}" for value in x]
         for name in names:
             values = [row.numbers.get(name, math.nan) for row in self.rows]
-            largest = max((abs(v) for v in values if math.isfinite(v)), default=0.0)
+            largest = max(_finite(map(abs, values)), default=0.0)
             factor, unit = scaled_unit(largest, unit_of(name))
             cells = [f"{v / factor:.5g}" if math.isfinite(v) else "" for v in values]
             known = [row.errors.get(name, math.nan) for row in self.rows]
@@ -138,7 +149,10 @@ class Results(Tabled):
     def large(self) -> list[str]:
         """Results that are not zero, nor far smaller than others of their unit."""
         names = self.names
-        size = {name: max(abs(row.numbers.get(name, 0.0)) for row in self.rows) for name in names}
+        size = {
+            name: max(_finite(abs(row.numbers.get(name, 0.0)) for row in self.rows), default=0.0)
+            for name in names
+        }
         most = dict[str, float]()
         for name in names:
             most[unit_of(name)] = max(most.get(unit_of(name), 0.0), size[name])
@@ -148,7 +162,7 @@ class Results(Tabled):
         """What is to be known of results, each once, with the runs that it is of."""
         runs = dict[tuple[str, str], list[int]]()
         for row in self.rows:
-            for name, text in row.remarks.items():
+            for name, text in self._remarks_on(row).items():
                 runs.setdefault((name, text), []).append(row.number)
         every = len([row for row in self.rows if row.numbers])
         return [
@@ -194,6 +208,32 @@ class Results(Tabled):
         return result
 
 
+class TableAtTimes:
+    """Writes the table while runs go on, so seldom that it takes a twentieth of the time at most.
+
+    After every row, writing n rows n times would take longer than many small runs.
+    """
+
+    def __init__(self) -> None:
+        self._next = 0.0
+
+    def write(self, results: Callable[[], Results]) -> None:
+        """Writes all files but the plot anew, or leaves them as they are. Not collective.
+
+        Raises:
+            OutputError: They cannot be written.
+        """
+        if (begin := time.monotonic()) < self._next:
+            return
+        write_table(results(), plot=False)
+        end = time.monotonic()
+        self._next = end + _PAUSE * (end - begin)
+
+
+def _finite(values: Iterable[float]) -> list[float]:
+    return [value for value in values if math.isfinite(value)]
+
+
 def write_table(results: Results, *, plot: bool) -> None:
     """Writes all files anew. Not collective.
 
@@ -207,7 +247,7 @@ def write_table(results: Results, *, plot: bool) -> None:
     replace_text(folder / TABLE, csv_text(results.columns()))
     text = json.dumps(json_data(_summary(results)), indent=2, allow_nan=False, default=str)
     replace_text(folder / SUMMARY, text + "\n")
-    if plot and any(row.numbers for row in results.rows):
+    if plot and results.large:
         draw(results, folder / PLOT)
 
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 import csv
 import json
 import math
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,12 +18,16 @@ from mpi4py import MPI
 from dolfin_elastic import Case, sweep
 from dolfin_elastic.case import case as case_module
 from dolfin_elastic.core.errors import InputError, SolveError
+from dolfin_elastic.core.files.regular import read_regular
 from dolfin_elastic.core.parallel import on_root
+from dolfin_elastic.study.sweep import rows as rows_module
+from dolfin_elastic.study.sweep import sweep as sweep_module
+from dolfin_elastic.study.sweep.numbers import Known, known_of, may_have
 from dolfin_elastic.study.sweep.rows import Contents, Row
 from dolfin_elastic.study.sweep.settings import design, read_setting
 from dolfin_elastic.study.sweep.statistics import statistics
-from dolfin_elastic.study.sweep.sweep import planned
-from dolfin_elastic.study.sweep.table import Results, write_table
+from dolfin_elastic.study.sweep.sweep import Sweep, planned
+from dolfin_elastic.study.sweep.table import Results, TableAtTimes, write_table
 
 WORLD = MPI.COMM_WORLD
 STEEL = {"law": "linear-elastic", "E": "1 MPa", "nu": 0.3, "density": 1e3}
@@ -180,6 +186,110 @@ def test_a_row_that_fails_is_kept(folder: Path) -> None:
     assert [row.status for row in found.rows] == ["solved", "failed"]
     assert "lft" in found.rows[1].cause
     assert "did you mean 'left'" in table(folder / "out")[1]["cause"]
+
+
+def test_what_has_failed_is_tried_again(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Only if it is asked for, in its folder; what has been solved stays as it is."""
+    values, out = {"materials.steel.E": ["1 MPa", "2 MPa"]}, folder / "out"
+    numbers = known_of
+
+    def full(folders: Sequence[Path]) -> Known:
+        if folders[0].name == "002":
+            raise SolveError("the disk is full")
+        return numbers(folders)
+
+    monkeypatch.setattr(sweep_module, "known_of", full)
+    first = sweep(bar(folder), values, output=out)
+    assert [row.status for row in first.rows] == ["solved", "failed"]
+    monkeypatch.undo()
+    assert sweep(bar(folder), values, output=out).rows == first.rows
+    found = sweep(bar(folder), values, output=out, retry=True)
+    assert [row.status for row in found.rows] == ["solved", "solved"]
+    assert found.rows[0] == first.rows[0]
+    assert (found.rows[1].folder, found.rows[1].cause) == ("002", "")
+    assert found.columns()["end_x"] == pytest.approx([1e-3, 0.5e-3], rel=1e-10)
+    assert sweep(bar(folder), values, output=out, retry=True).rows == found.rows
+
+
+def test_a_result_that_only_some_runs_have(folder: Path) -> None:
+    """An empty cell with the reason, whichever run comes first; what no run can have is refused."""
+    some, out = [{"end": [1, 0]}, {"end": [1, 0], "mid": [0.5, 0]}], folder / "out"
+    tell = ["mid_x", "end_x", "displacement_x of mid"]
+    found = sweep(bar(folder), {"output.probes": some}, output=out, tell=tell)
+    assert [row.status for row in found.rows] == ["solved"] * 2
+    assert found.columns()["mid_x"] == pytest.approx([math.nan, 0.5e-3], nan_ok=True)
+    assert found.columns()["end_x"] == pytest.approx([1e-3, 1e-3])
+    assert [row["mid_x"] for row in table(out)] == ["", "0.0005"]
+    assert found.columns()[tell[2]] == pytest.approx([math.nan, 0.5e-3], nan_ok=True)
+    assert found.remarks() == [
+        "mid_x: this run has no such result (run 1)",
+        f"{tell[2]}: this run has no such result: there is no result 'mid_displacement_x' (run 1)",
+    ]
+    assert found.large == tell
+    with pytest.raises(InputError, match="did you mean 'end_x'"):
+        sweep(bar(folder), {"output.probes": some}, output=folder / "no", tell=["end_xx"])
+
+
+def test_a_field_that_only_some_runs_have(folder: Path) -> None:
+    """One material has no strength; where none has, the first run ends the sweep."""
+    strong, case = {**STEEL, "allowable": "1 MPa"}, bar(folder)
+    tell, out = ["safety_factor on right", "end_x"], folder / "out"
+    found = sweep(case, {"materials.steel": [STEEL, strong]}, output=out, tell=tell).columns()
+    assert found["status"] == ["solved"] * 2
+    assert found[tell[0]] == pytest.approx([math.nan, 1e3], nan_ok=True, rel=1e-9)
+    why = f"{tell[0]}: this run has no such result: '{tell[0]}' has no value in this run"
+    assert found["remark"] == [why, ""]
+    with pytest.raises(InputError, match=r"has no value in this run; .* finite somewhere"):
+        sweep(case, {"materials.steel.E": ["1 MPa"]}, output=folder / "no", tell=tell)
+
+
+def test_names_that_runs_may_have(folder: Path) -> None:
+    """All columns of a run are among them, and those of other cases; misspelt ones are not."""
+    case = bar(folder, modal={"count": 2}, statics={})
+    found = sweep(case, {"materials.steel.E": [1e6]}, output=folder / "out")
+    names = on_root(WORLD, lambda: [*known_of([folder / "out" / "001" / "statics"]).numbers])
+    counted = {"step", "t", "load_factor", "newton", "krylov"}  # every run has these
+    assert [name for name in names if not may_have(case, name)] == [
+        n for n in names if n in counted
+    ]
+    assert found.rows[0].status == "solved"
+    for name in ("reaction_left_y", "friction_energy", "frequency_7", "end_von_mises", "end_x"):
+        assert may_have(case, name), name
+    for name in (
+        "reaction_lft_y",
+        "frictoin_energy",
+        "load_factor_1",
+        "end_xx",
+        "left",
+        "nonsense",
+    ):
+        assert not may_have(case, name), name
+
+
+def test_records_are_read_once(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The table after each row knows those before it: the reads grow as the rows do."""
+    reads = [0]
+
+    def counted(path: Path, most: int) -> bytes:
+        reads[0] += path.name == "row.json"
+        return read_regular(path, most)
+
+    def solved(self: Sweep, row: Row, case: Case) -> Row:
+        return replace(row, status="solved", numbers={"end_x": row.number * 1e-3})
+
+    monkeypatch.setattr(rows_module, "read_regular", counted)
+    monkeypatch.setattr(Sweep, "_solve", solved)
+    n = 60
+    plan = design([read_setting("materials.steel.E", [f"{k} MPa" for k in range(1, n + 1)])])
+    made = planned(bar(folder), plan, output=folder / "out")
+    for row in made.run():
+        assert sum(one.ended for one in made.so_far().rows) == row.number
+    assert on_root(WORLD, lambda: reads[0]) == n  # that nobody else has ended it
+    assert made.results() == made.so_far()
+    writer = TableAtTimes()
+    for _ in range(3):
+        on_root(WORLD, lambda: writer.write(made.so_far))
+    assert len(table(folder / "out")) == n
 
 
 def test_all_rows_fail(folder: Path) -> None:

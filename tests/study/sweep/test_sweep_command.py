@@ -110,8 +110,13 @@ def test_an_array_job(tmp_path: Path) -> None:
     for file in (program, srun):
         file.chmod(file.stat().st_mode | stat.S_IXUSR)
     words = ["sweep", "--set", "materials.rubber.E=1 MPa,2 MPa", "case.toml"]
-    code, out, err = cli(*words, "--jobs", "2", "--slurm", "job.sh", folder=tmp_path)
+    more = ("--jobs", "2", "--slurm", "job.sh", "--retry")
+    code, out, err = cli(*words, *more, folder=tmp_path)
     assert code == 0, err
+    script = (tmp_path / "job.sh").read_text()
+    assert [line.endswith("--retry") for line in script.splitlines() if "sweep" in line][1:] == [
+        *(False, True)
+    ]
     assert "sbatch job.sh" in out
     assert "#SBATCH --array=1-2\n" in (tmp_path / "job.sh").read_text()
     assert not (tmp_path / "case_sweep" / "sweep.csv").exists()
@@ -143,6 +148,27 @@ def test_bad_input(tmp_path: Path, words: list[str], message: str) -> None:
     assert message in err
     assert "Traceback" not in err
     assert os.listdir(tmp_path) == ["case.toml"]
+
+
+@pytest.mark.parametrize("jobs", ["1", "2"])
+def test_failed_rows_are_tried_again(tmp_path: Path, jobs: str) -> None:
+    """Once, by the first process; without the option the table is all that is written."""
+    (tmp_path / "case.toml").write_text(CASE.replace("steps = 4", "steps = 1"))
+    words = ["sweep", "case.toml", "--set", "load.right.value[1]=-100 Pa,-1 GPa", "--jobs", jobs]
+    assert cli(*words, folder=tmp_path)[0] == 0
+    assert [row["status"] for row in table(tmp_path)] == ["solved", "failed"]
+    records = [tmp_path / "case_sweep" / name / "row.json" for name in ("001", "002")]
+    before = [path.stat().st_mtime_ns for path in records]
+    code, out, err = cli(*words, folder=tmp_path)
+    assert code == 0, err
+    assert "2 of them known" in out and "of 2  value" not in out
+    assert [path.stat().st_mtime_ns for path in records] == before
+    code, out, err = cli(*words, "--retry", folder=tmp_path)
+    assert code == 0, err
+    assert "1 of them known" in out and out.count("of 2  value") == 1
+    after = [path.stat().st_mtime_ns for path in records]
+    assert (after[0] == before[0], after[1] > before[1]) == (True, True)
+    assert [row["status"] for row in table(tmp_path)] == ["solved", "failed"]
 
 
 @pytest.mark.long
