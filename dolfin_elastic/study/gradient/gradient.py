@@ -16,12 +16,14 @@ from dolfin_elastic.core.parallel import total
 from dolfin_elastic.core.petsc_options import PetscOptions
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.problem.problem import Problem
-from dolfin_elastic.problem.state import State
-from dolfin_elastic.solvers.nonlinear.adjoint import Adjoint
+from dolfin_elastic.problem.state import Mode, State
+from dolfin_elastic.solvers.assembly.dofs import ConstrainedDofs
+from dolfin_elastic.solvers.nonlinear.adjoint import Adjoint, AdjointState
 from dolfin_elastic.solvers.nonlinear.newton import Newton
 from dolfin_elastic.solvers.statics.statics import Statics
-from dolfin_elastic.study.gradient.functionals import functionals
-from dolfin_elastic.study.gradient.parameters import Equilibrium, Sides, parameters
+from dolfin_elastic.study.gradient.functionals import Functional, functionals
+from dolfin_elastic.study.gradient.modes import AtRest, check_modes, frequencies, is_frequency
+from dolfin_elastic.study.gradient.parameters import Basis, Equilibrium, Sides, parameters
 from dolfin_elastic.study.gradient.spatial import OFFSET, CellConstant, Shape
 from dolfin_elastic.study.gradient.table import Derivative, Gradient, GradientTable
 from dolfin_elastic.study.gradient.taylor import with_orders
@@ -68,11 +70,9 @@ class Gradients:
         probes: Mapping[str, Sequence[float]] | None = None,
     ) -> None:
         _check(problem)
-        self.problem, self._asked = problem, asked
+        self.problem = problem
         self._functionals = functionals(asked.of, problem, probes or {})
-        self._parameters = parameters(asked.by, problem, case)
-        self._cells: list[CellConstant] | None = None
-        self._shape: Shape | None = None
+        self._by = _By(asked, problem, case)
 
     def at(self, newton: Newton, state: State) -> tuple[Gradient, ...]:
         """At the equilibrium that a solver has just found.
@@ -84,58 +84,84 @@ class Gradients:
         here = Equilibrium(newton, self._functionals, state.t)
         adjoint = Adjoint(newton)
         try:
-            values = here.evaluated().numbers
-            sides = [one.derivative(here) for one in self._parameters]
             of_scalars = here.by_scalars()
-            here.evaluated()  # back, with the functionals linearised here
-            self._make_fields(here)
-            return tuple(
-                self._gradient(here, adjoint, number, float(value), sides, of_scalars[number])
-                for number, value in enumerate(values)
-            )
+            values, sides = self._by.sides(here)
+            solutions = [
+                adjoint.solve(one.by_unknowns(here.assembler), of_scalars[number])
+                for number, one in enumerate(self._functionals)
+            ]
+            return self._by.gradients(here.assembler, self._functionals, values, sides, solutions)
         finally:
             adjoint.destroy()
 
-    def _make_fields(self, here: Equilibrium) -> None:
+
+class _By:
+    """All parameters together.  Collective."""
+
+    def __init__(self, asked: Asked, problem: Problem, case: Case | None) -> None:
+        self._asked, self._comm = asked, problem.body.comm
+        self._parameters = parameters(asked.by, problem, case)
+        self._cells: list[CellConstant] | None = None
+        self._shape: Shape | None = None
+
+    def sides(self, basis: Basis) -> tuple[FloatArray, list[Sides]]:
+        """Values, and what parameters change at fixed unknowns; functionals are left as they are.
+
+        Args:
+            basis: The equilibrium, or the body at rest.
+        """
+        sides = [one.derivative(basis) for one in self._parameters]
+        return basis.evaluated().numbers, sides
+
+    def gradients(
+        self,
+        dofs: ConstrainedDofs,
+        functionals: Sequence[Functional],
+        values: FloatArray,
+        sides: Sequence[Sides],
+        solutions: Sequence[AdjointState | None],
+    ) -> tuple[Gradient, ...]:
+        """Of all functionals.
+
+        Args:
+            values: Of each.
+            sides: Of each parameter.
+            solutions: The adjoint of each; None: it does not depend on the unknowns.
+        """
         if self._cells is None:
-            self._cells = [CellConstant(key, here.assembler) for key in self._asked.fields]
-            self._shape = Shape(here.assembler) if self._asked.offsets else None
+            self._cells = [CellConstant(key, dofs) for key in self._asked.fields]
+            self._shape = Shape(dofs) if self._asked.offsets else None
+        return tuple(
+            self._gradient(one, float(values[number]), number, sides, solutions[number])
+            for number, one in enumerate(functionals)
+        )
 
     def _gradient(
         self,
-        here: Equilibrium,
-        adjoint: Adjoint,
-        number: int,
+        functional: Functional,
         value: float,
+        number: int,
         sides: Sequence[Sides],
-        of_scalars: FloatArray,
+        solution: AdjointState | None,
     ) -> Gradient:
-        functional = self._functionals[number]
-        comm = self.problem.body.comm
-        slope = functional.by_unknowns(here.assembler)
-        solution = adjoint.solve(slope, of_scalars)
         by = []
         for parameter, side in zip(self._parameters, sides, strict=True):
-            through = total(comm, float(solution.fields @ side.forces))
-            through += float(solution.scalars @ side.equations)
-            by.append(
-                Derivative(
-                    parameter.key,
-                    parameter.value,
-                    parameter.unit,
-                    float(side.numbers[number]) + through,
-                )
-            )
+            slope = float(side.numbers[number])
+            if solution is not None:
+                slope += total(self._comm, float(solution.fields @ side.forces))
+                slope += float(solution.scalars @ side.equations)
+            by.append(Derivative(parameter.key, parameter.value, parameter.unit, slope))
         cells = {one.key: one.by_logarithm(solution, functional) for one in self._cells or ()}
         nodes = None
         if self._shape is not None:
             slopes = self._shape.by_positions(solution, functional)
             for surface in self._asked.offsets:
-                along = total(comm, float(slopes @ self._shape.offset(surface)))
+                along = total(self._comm, float(slopes @ self._shape.offset(surface)))
                 by.append(Derivative(f"{OFFSET}{surface}", 0.0, "m", along))
             nodes = self._shape.at_nodes(slopes)
+        iterations = 0 if solution is None else solution.iterations
         return Gradient(
-            functional.name, value, functional.unit, tuple(by), cells, nodes, solution.iterations
+            functional.name, value, functional.unit, tuple(by), cells, nodes, iterations
         )
 
 
@@ -195,12 +221,15 @@ def gradients_of(
         InputError: The case is wrong, or there is no such derivative.
         SolveError: No solution was found.
     """
-    case = next((one for one in case.analyses() if one.analysis == "statics"), case)
-    if case.analysis != "statics":
+    modal = any(map(is_frequency, asked.of))
+    wanted = "modal" if modal else "statics"
+    case = next((one for one in case.analyses() if one.analysis == wanted), case)
+    if case.analysis != wanted or (modal and not all(map(is_frequency, asked.of))):
         raise InputError(
-            f"gradients are those of [statics], but this is [{case.analysis}]",
+            f"gradients are those of [statics], or of frequencies of [modal]: here is "
+            f"[{case.analysis}]",
             where=case.file,
-            expected="`sweep` for other analyses",
+            expected="numbers of one of them, or `sweep` for other analyses",
         )
     body = case.read_body(comm) if body is None else body
     found, only = _solved(case, asked, body, petsc), Asked(asked.of)
@@ -221,6 +250,8 @@ def gradients_of(
 def _solved(case: Case, asked: Asked, body: Body, petsc: PetscOptions | None) -> Found:
     """One solution with its gradients. Collective."""
     problem, found = case.make_problem(body), list[Found]()
+    if case.analysis == "modal":
+        return _of_modes(case, asked, problem, petsc)
     with locate_errors(case.file):
         gradients = Gradients(asked, problem, case, places_of_probes(case, body))
     solver = case.make_solver(problem, petsc=petsc)
@@ -237,6 +268,18 @@ def _solved(case: Case, asked: Asked, body: Body, petsc: PetscOptions | None) ->
     return found[-1]
 
 
+def _of_modes(case: Case, asked: Asked, problem: Problem, petsc: PetscOptions | None) -> Found:
+    """Natural frequencies with their gradients. Collective."""
+    check_modes(case, problem)
+    with locate_errors(case.file), closing(case.make_solver(problem, petsc=petsc).steps()) as steps:
+        modes = {one.number: one for one in steps if isinstance(one, Mode)}
+        chosen, by = frequencies(asked.of, problem, modes), _By(asked, problem, case)
+        values, sides = by.sides(AtRest(chosen))
+        nothing = [None] * len(chosen)
+        gradients = by.gradients(ConstrainedDofs(problem), chosen, values, sides, nothing)
+    return Found(gradients, problem, State(0, 0.0, problem.u))
+
+
 def gradient(
     case: Case,
     of: Sequence[str],
@@ -249,7 +292,7 @@ def gradient(
     verify: bool = False,
     comm: MPI.Comm = MPI.COMM_WORLD,
 ) -> GradientTable:
-    """Derivatives of numbers of the last state of a case's statics. Collective.
+    """Derivatives of numbers of a case's last state of statics, or of its frequencies. Collective.
 
         table = gradient(case, ["displacement_z of tip"], ["materials.gel.E", "load[0].value[2]"])
         table["displacement_z of tip"]["materials.gel.E"].value
@@ -257,7 +300,8 @@ def gradient(
     Args:
         case: From `read_case`.
         of: Numbers, such as "displacement_z of tip", "reaction_x of left", "strain_energy",
-            "mean von_mises on fillet" or "von_mises on fillet", for which a smooth norm stands.
+            "mean von_mises on fillet" or "von_mises on fillet", for which a smooth norm stands; or
+            "frequency_1" of [modal].
         by: Dotted keys of numbers of the case.
         fields: Keys of constants of materials whose values in all cells are parameters.
         offsets: Names of surfaces that move along their normals, each by itself.

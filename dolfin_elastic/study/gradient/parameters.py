@@ -12,7 +12,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 from dolfinx.fem import Constant
@@ -53,6 +53,16 @@ class Sides:
     numbers: FloatArray
 
 
+class Basis(Protocol):
+    """What parameters change.  All of it is collective."""
+
+    def evaluated(self) -> Sides:
+        """All that depends on parameters, as they are now."""
+
+    def on(self, changed: Problem) -> Sides:
+        """The same of another problem on the same mesh."""
+
+
 class Equilibrium:
     """An equilibrium, and the numbers that are told of it.  All of it is collective.
 
@@ -72,6 +82,39 @@ class Equilibrium:
         forces = residual.owned.copy()
         equations = np.zeros(0) if bordered is None else bordered.scalars.residual(residual)
         return Sides(forces, equations, self.numbers(forces))
+
+    def on(self, changed: Problem) -> Sides:
+        """All that depends on parameters, of another problem at the same unknowns and time.
+
+        What it prescribes moves the unknowns.
+        """
+        here, bordered = self.problem, self.newton.bordered
+        _take_state(changed, here, self.t)
+        equations: FloatArray = np.zeros(0)
+        if bordered is None:
+            dofs = ConstrainedDofs(changed)
+            forces = Reactions(dofs, None, {}, None)
+            residual = Residual(dofs, changed.weak_form.residual, None, forces, None)
+            _move_prescribed(dofs)
+            residual.assemble()
+        else:
+            assembler = Assembler(changed)
+            scalars = scalar_unknowns(assembler)
+            assert scalars is not None
+            scalars.put(bordered.scalars.get())
+            residual = assembler.residual
+            _move_prescribed(assembler)
+            residual.assemble()
+            equations = scalars.residual(residual)
+            assembler.destroy()
+        start = here.w.x.array.copy()
+        here.w.x.array[:] = changed.w.x.array
+        here.unknowns.w_to_u()
+        try:
+            return Sides(residual.owned.copy(), equations, self.numbers(residual.owned))
+        finally:
+            here.w.x.array[:] = start
+            here.unknowns.w_to_u()
 
     def by_scalars(self) -> FloatArray:
         """Derivatives of the functionals by scalar unknowns, shape (functionals, scalars)."""
@@ -115,13 +158,13 @@ class Parameter(ABC):
         self.key, self.value, self.unit, self.step = key, value, unit, step
 
     @abstractmethod
-    def evaluated(self, equilibrium: Equilibrium, value: float) -> Sides:
-        """What depends on it, at the equilibrium's unknowns and another value. Collective."""
+    def evaluated(self, basis: Basis, value: float) -> Sides:
+        """What depends on it, at the same unknowns and another value. Collective."""
 
-    def derivative(self, equilibrium: Equilibrium) -> Sides:
+    def derivative(self, basis: Basis) -> Sides:
         """By the parameter, at fixed unknowns but those that it prescribes. Collective."""
         parts = [
-            (weight / self.step, self.evaluated(equilibrium, self.value + k * self.step))
+            (weight / self.step, self.evaluated(basis, self.value + k * self.step))
             for k, weight in WEIGHTS.items()
         ]
         return Sides(
@@ -149,12 +192,12 @@ class MaterialConstant(Parameter):
         super().__init__(key, number, unit, STEP * min(abs(value) or room, room) / self._size)
         self._constant = constant
 
-    def evaluated(self, equilibrium: Equilibrium, value: float) -> Sides:
+    def evaluated(self, basis: Basis, value: float) -> Sides:
         """See `Parameter`."""
         present = float(self._constant.value)
         self._constant.value = value * self._size
         try:
-            return equilibrium.evaluated()
+            return basis.evaluated()
         finally:
             self._constant.value = present
 
@@ -179,37 +222,10 @@ class CaseNumber(Parameter):
         """As the case takes it."""
         return f"{value!r} {self.unit}" if self.unit else value
 
-    def evaluated(self, equilibrium: Equilibrium, value: float) -> Sides:
+    def evaluated(self, basis: Basis, value: float) -> Sides:
         """See `Parameter`."""
-        changed = self._case.changed({self.key: self.written(value)}).make_problem(self._body)
-        here = equilibrium.problem
-        _take_state(changed, here, equilibrium.t)
-        bordered = equilibrium.newton.bordered
-        equations: FloatArray = np.zeros(0)
-        if bordered is None:
-            dofs = ConstrainedDofs(changed)
-            forces = Reactions(dofs, None, {}, None)
-            residual = Residual(dofs, changed.weak_form.residual, None, forces, None)
-            _move_prescribed(dofs)
-            residual.assemble()
-        else:
-            assembler = Assembler(changed)
-            scalars = scalar_unknowns(assembler)
-            assert scalars is not None
-            scalars.put(bordered.scalars.get())
-            residual = assembler.residual
-            _move_prescribed(assembler)
-            residual.assemble()
-            equations = scalars.residual(residual)
-            assembler.destroy()
-        start = here.w.x.array.copy()
-        here.w.x.array[:] = changed.w.x.array
-        here.unknowns.w_to_u()
-        try:
-            return Sides(residual.owned.copy(), equations, equilibrium.numbers(residual.owned))
-        finally:
-            here.w.x.array[:] = start
-            here.unknowns.w_to_u()
+        changed = self._case.changed({self.key: self.written(value)})
+        return basis.on(changed.make_problem(self._body))
 
 
 def _move_prescribed(dofs: ConstrainedDofs) -> None:

@@ -19,7 +19,8 @@ from dolfin_elastic.model.values import PLACE
 from dolfin_elastic.problem.constraints.normals import surface_normals
 from dolfin_elastic.problem.material_regions import MaterialRegion
 from dolfin_elastic.problem.problem import Problem
-from dolfin_elastic.solvers.assembly.assembler import Assembler, compiled, integral
+from dolfin_elastic.solvers.assembly.assembler import compiled, integral
+from dolfin_elastic.solvers.assembly.dofs import ConstrainedDofs
 from dolfin_elastic.solvers.nonlinear.adjoint import AdjointState
 from dolfin_elastic.study.gradient.functionals import Functional
 from dolfin_elastic.study.gradient.parameters import STEP, WEIGHTS
@@ -33,8 +34,8 @@ class _Field:
         work: The form.
     """
 
-    def __init__(self, assembler: Assembler) -> None:
-        self.assembler, self.problem = assembler, assembler.problem
+    def __init__(self, dofs: ConstrainedDofs) -> None:
+        self.dofs, self.problem = dofs, dofs.problem
         self.adjoint = fem.Function(self.problem.W)
         self.work = ufl.action(self.problem.weak_form.residual, self.adjoint)
         self._forms: dict[str, fem.Form] = {}
@@ -42,7 +43,7 @@ class _Field:
     def _take(self, adjoint: AdjointState, functional: Functional) -> None:
         """Sets the adjoint, with the motion whose work the functional is. Collective."""
         motion, values = functional.motion(), adjoint.fields.copy()
-        self.assembler.extend(values)
+        self.dofs.extend(values)
         self.adjoint.x.array[: len(values)] = values + (0.0 if motion is None else motion)
         self.adjoint.x.scatter_forward()
 
@@ -65,20 +66,22 @@ class CellConstant(_Field):
         InputError: There is no such constant.
     """
 
-    def __init__(self, key: str, assembler: Assembler) -> None:
-        super().__init__(assembler)
+    def __init__(self, key: str, dofs: ConstrainedDofs) -> None:
+        super().__init__(dofs)
         self.key, (self.region, self._coefficient) = key, _coefficient(key, self.problem)
         self._cells = fem.functionspace(self.problem.body.mesh, ("DG", 0))
 
-    def by_logarithm(self, adjoint: AdjointState, functional: Functional) -> FloatArray:
+    def by_logarithm(self, adjoint: AdjointState | None, functional: Functional) -> FloatArray:
         """dQ/d ln m of each owned cell, in the unit of Q; 0 in other materials. Collective.
 
         Args:
+            adjoint: None: the number does not depend on the unknowns.
             functional: At the equilibrium at which its value was asked for last.
         """
-        self._take(adjoint, functional)
-        test = ufl.TestFunction(self._cells)
-        parts = [(1.0, self._compiled("work", lambda: _in_cells(self.work, test)))]
+        test, parts = ufl.TestFunction(self._cells), list[tuple[float, fem.Form]]()
+        if adjoint is not None:
+            self._take(adjoint, functional)
+            parts.append((1.0, self._compiled("work", lambda: _in_cells(self.work, test))))
         if (own := functional.form) is not None:
             parts.append(
                 (functional.factor, self._compiled(functional.name, lambda: _in_cells(own, test)))
@@ -144,8 +147,8 @@ class Shape(_Field):
 
     key = "shape"
 
-    def __init__(self, assembler: Assembler) -> None:
-        super().__init__(assembler)
+    def __init__(self, dofs: ConstrainedDofs) -> None:
+        super().__init__(dofs)
         problem = self.problem
         known = [
             one
@@ -175,11 +178,17 @@ class Shape(_Field):
             for one in [problem.constant(1.0) * problem.context.areas(load.parts)]
         ]
 
-    def by_positions(self, adjoint: AdjointState, functional: Functional) -> FloatArray:
-        """dQ/dX at owned entries of `V` [Q's unit per m]. Collective."""
-        self._take(adjoint, functional)
-        result = assembled(self._compiled("work", lambda: self._by(self.work)), self.V)
-        for work, area, change in self._forces:
+    def by_positions(self, adjoint: AdjointState | None, functional: Functional) -> FloatArray:
+        """dQ/dX at owned entries of `V` [Q's unit per m]. Collective.
+
+        Args:
+            adjoint: None: the number does not depend on the unknowns.
+        """
+        result = np.zeros(self.V.dofmap.index_map.size_local * self.problem.body.dim)
+        if adjoint is not None:
+            self._take(adjoint, functional)
+            result += assembled(self._compiled("work", lambda: self._by(self.work)), self.V)
+        for work, area, change in self._forces if adjoint is not None else ():
             share = integral(self.problem, work) / integral(self.problem, area)
             result += share * assembled(change, self.V)
         if (own := functional.form) is not None:

@@ -319,6 +319,51 @@ def test_cells() -> None:
     assert told == pytest.approx((sides[0][0] - sides[1][0]) / (2 * STEP), rel=1e-6)
 
 
+# --- frequencies ---
+
+
+def test_frequencies() -> None:
+    """A bar whose first frequencies differ: constants, a cell's modulus and the shape."""
+    tables = {
+        "mesh": {"box": {"size": [2, 0.5, 0.3], "cells": [6, 2, 2]}, "degree": 2},
+        "materials": {"steel": {"law": "linear-elastic", "E": "2 GPa", "nu": 0.3, "density": 1000}},
+        "support": [{"on": "left"}],
+        "modal": {"count": 3},
+    }
+    case, of = Case.from_dict(tables), ["frequency_1", "frequency_2"]
+    keys = {"materials.steel.E": (2.0, "GPa"), "materials.steel.nu": (0.3, "")}
+    keys["materials.steel.density"] = (1000.0, "")
+    found = gradient(case, of, [*keys], fields=["materials.steel.E"], offsets=["top"]).gradients
+
+    def at(key: str, k: int) -> np.ndarray:
+        value, unit = keys[key]
+        number = value * (1 + k * STEP)
+        changed = case.changed({key: f"{number!r} {unit}" if unit else number})
+        return np.array([one.value for one in gradient(changed, of).gradients])
+
+    for number, key in enumerate(keys):
+        slopes = (8 * (at(key, 1) - at(key, -1)) - (at(key, 2) - at(key, -2))) / (12 * STEP)
+        told = np.array([one.by[number].at * one.by[number].value for one in found])
+        np.testing.assert_allclose(told, slopes, rtol=1e-6)
+    # f is that of sqrt(E/rho).
+    for one in found:
+        assert one["materials.steel.E"].value * 2.0 == pytest.approx(one.value / 2, rel=1e-9)
+        density = one["materials.steel.density"].value * 1000.0
+        assert density == pytest.approx(-one.value / 2, rel=1e-9)
+        whole = total(COMM, float(one.cells["materials.steel.E"].sum()))
+        assert whole == pytest.approx(one.value / 2, rel=1e-9)
+
+    def thicker(distance: float) -> np.ndarray:
+        body = case.read_body(COMM)
+        x = body.mesh.geometry.x
+        x[np.isclose(x[:, 2], 0.3), 2] += distance
+        return np.array([one.value for one in gradient(case, of, body=body).gradients])
+
+    slopes = (thicker(STEP) - thicker(-STEP)) / (2 * STEP)
+    told = np.array([one["offset of top"].value for one in found])
+    np.testing.assert_allclose(told, slopes, rtol=1e-5)  # of second order
+
+
 # --- what is refused ---
 
 
