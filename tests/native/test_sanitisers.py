@@ -158,7 +158,11 @@ def of_halves(nodes: int, owned: int) -> dict[str, object]:
 def of_symmetric(sizes: dict[str, int], lanes: int) -> Iterator[Call]:
     owned, dim = 4, sizes["DIM"]
     values = of_halves(6, owned)
-    yield from ((name, values) for name in ("product", "rounded_product", "take_diagonal"))
+    products = ("product", "product_eight", "rounded_product")
+    yield from ((name, values) for name in (*products, "take_diagonal"))
+    for count in (3, 8):
+        for name in ("side_by_side", "one_below_the_other"):
+            yield name, values | {"count": count, "n": 13}
     yield "put_diagonal", values | {"count": dim * owned, "entries": RNG.permutation(dim * owned)}
     places = [0, -1, values["stored"] - 1]
     yield "add_blocks", values | {"count": 3, "places": places}
@@ -181,6 +185,7 @@ def of_mass(dim: int) -> Iterator[Call]:
     rows = {"rows": dim * nodes, "begins": begins, "numbers": numbers}
     rows |= {"entries": RNG.permutation(dim * nodes)}
     yield "add_mass_product", values
+    yield "add_mass_product_eight", values
     yield "add_mass_to_half", values | halved
     yield "add_mass_to_rows", values | rows
 
@@ -210,6 +215,8 @@ def of_multigrid(sizes: dict[str, int], lanes: int) -> Iterator[Call]:
     for halved in (0, 1):
         yield "product_pattern", values | P | {"halved": halved}
     yield "count_in_full", halves
+    yield "side_by_side", values | {"count": 3, "n": 13}
+    yield "one_below_the_other", values | {"count": 3, "n": 13}
     yield "columns_in_full", halves
     for R in (dim, modes):
         size = {"R": R, "C": R}

@@ -1137,16 +1137,7 @@ int64_t restrict_residual_of_half(int64_t R, int64_t C, int64_t n, const int64_t
   return 0;
 }
 
-/* --- The cycle for eight right-hand sides at once: in place of each number of a vector there are
-   those of eight vectors, in as many parts as registers need.  Loops take one part of all numbers,
-   from its first on; gcc's vectors of more than a register are slower than single numbers. --- */
-
-#ifdef __AVX512F__
-#define PARTS 1
-#else
-#define PARTS 2
-#endif
-typedef double part __attribute__((vector_size(64 / PARTS), aligned(8)));
+/* --- The cycle for eight right-hand sides at once, side by side as halves.h says. --- */
 
 INLINE void row_times_eight(const int R, int64_t first, int64_t last, const int32_t* columns,
                             const float* a, const part* x, part* y)
@@ -1313,35 +1304,6 @@ int64_t prolong_eight(int64_t R, int64_t C, int64_t n, const int64_t p_start[n +
   return 0;
 }
 
-/* What row i of A x adds to y, of a matrix by the half of its blocks. */
-INLINE void multiply_row_of_half_eight(const int R, int64_t i, int64_t n, const int64_t* start,
-                                       const int32_t* columns, const float* half, const part* x,
-                                       part* y)
-{
-  part s[R];
-  for (int r = 0; r < R; r++)
-    s[r] = (part){0.0};
-  for (int64_t k = start[i]; k < start[i + 1]; k++)
-  {
-    const int64_t j = columns[k];
-    const int both = j > i && j < n;
-    for (int c = 0; c < R; c++)
-    {
-      part t = {0.0};
-      for (int r = 0; r < R; r++)
-      {
-        const double a = half[(k * R + c) * R + r];
-        s[r] += a * x[PARTS * (j * R + c)];
-        t += a * x[PARTS * (i * R + r)];
-      }
-      if (both)
-        y[PARTS * (j * R + c)] += t;
-    }
-  }
-  for (int r = 0; r < R; r++)
-    y[PARTS * (i * R + r)] += s[r];
-}
-
 /* y = x + S (b - A x) */
 INLINE void smooth_of_half_eight_(const int R, const int C, int64_t n, const int64_t* start,
                                   const int32_t* columns, const float* half, const float* inverse,
@@ -1350,7 +1312,7 @@ INLINE void smooth_of_half_eight_(const int R, const int C, int64_t n, const int
   (void)C;
   for (int64_t i = 0; i < n; i++)
   {
-    multiply_row_of_half_eight(R, i, n, start, columns, half, x, y);
+    multiply_row_eight(0, R, i, n, start, columns, half, half, x, y);
     const int64_t at = PARTS * i * R;
     correct_eight(R, inverse + i * R * R, x + at, b + at, y + at);
   }
@@ -1378,7 +1340,7 @@ INLINE void restrict_residual_of_half_eight_(const int R, const int C, int64_t n
 {
   for (int64_t i = 0; i < n; i++)
   {
-    multiply_row_of_half_eight(R, i, n, start, columns, half, x, y);
+    multiply_row_eight(0, R, i, n, start, columns, half, half, x, y);
     part r[R];
     for (int k = 0; k < R; k++)
       r[k] = b[PARTS * (i * R + k)] - y[PARTS * (i * R + k)];

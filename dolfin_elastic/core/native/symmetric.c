@@ -64,6 +64,20 @@ int64_t rounded_product(int64_t n, const int64_t start[n + 1], const int32_t col
   return 0;
 }
 
+/* The same for eight vectors, side by side. */
+int64_t product_eight(int64_t n, const int64_t start[n + 1], const int32_t columns[start[n]],
+                      const float high[SQUARE * start[n] + 1],
+                      const float low[SQUARE * start[n] + 1], int64_t nodes,
+                      const double x[8 * DIM * nodes], double y[8 * DIM * n])
+{
+  memset(y, 0, sizeof(double) * 8 * DIM * n);
+  for (int h = 0; h < PARTS; h++)
+    for (int64_t i = 0; i < n; i++)
+      multiply_row_eight(1, DIM, i, n, start, columns, high, low, (const part*)x + h,
+                         (part*)y + h);
+  return 0;
+}
+
 int64_t take_diagonal(int64_t n, const int64_t start[n + 1],
                       const float high[SQUARE * start[n] + 1],
                       const float low[SQUARE * start[n] + 1], double diagonal[DIM * n])
@@ -147,6 +161,34 @@ int64_t add_mass_product(int64_t n, const int64_t start[n + 1], const int32_t co
     }
     for (int c = 0; c < DIM; c++)
       y[DIM * i + c] += sum[c];
+  }
+  return -1;
+}
+
+/* The same for eight vectors, side by side. */
+int64_t add_mass_product_eight(int64_t n, const int64_t start[n + 1],
+                               const int32_t columns[start[n]], const double m[start[n]],
+                               const double x[8 * DIM * n], double y[8 * DIM * n])
+{
+  for (int h = 0; h < PARTS; h++)
+  {
+    const part* from = (const part*)x + h;
+    part* to = (part*)y + h;
+    for (int64_t i = 0; i < n; i++)
+      for (int c = 0; c < DIM; c++)
+      {
+        const int64_t e = PARTS * (DIM * i + c);
+        const part own = from[e];
+        part sum = {0.0};
+        for (int64_t k = start[i]; k < start[i + 1]; k++)
+        {
+          const int64_t f = PARTS * (DIM * (int64_t)columns[k] + c);
+          sum += m[k] * from[f];
+          if (f != e)
+            to[f] += m[k] * own;
+        }
+        to[e] += sum;
+      }
   }
   return -1;
 }

@@ -20,6 +20,7 @@ from dolfin_elastic.core.types import FloatArray, IndexArray, IntArray
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.problem.term import Blocks
 from dolfin_elastic.solvers.assembly.symmetric.blocks import SymmetricBlocks
+from dolfin_elastic.solvers.assembly.symmetric.several import EIGHT, by_eights
 
 
 class ScalarMass:
@@ -55,6 +56,7 @@ class ScalarMass:
         self.start: IntArray = np.append(0, np.cumsum(np.bincount(row[half], minlength=nodes)))
         self._loops = compile_c(comm, "symmetric.c", {"DIM": self._dim}, problem.jit)
         self._rows = (nodes, self.start, self.columns, self.values)
+        self._eight: list[la.Vector] = []
 
     # --- of all ranks ---
 
@@ -69,6 +71,21 @@ class ScalarMass:
         whole.scatter_forward()
         self.add_product(whole.array, out.array)
         return self._summed(out)
+
+    def times_several(self, vectors: FloatArray, images: FloatArray) -> None:
+        """Overwrites images by M times vectors, one below the other, as in `times`. Collective."""
+        if not self._eight:
+            self._eight = [la.vector(self._map, self._dim * EIGHT) for _ in range(2)]
+        x, y = self._eight
+
+        def times() -> FloatArray:
+            x.scatter_forward()
+            y.array[:] = 0.0
+            self._loops.call("add_mass_product_eight", *self._rows, x.array, y.array)
+            y.scatter_reverse(la.InsertMode.add)
+            return np.asarray(y.array)
+
+        by_eights(vectors, images, x.array, times, self._loops)
 
     def diagonal(self) -> FloatArray:
         """Its diagonal, owned entries [kg]. Collective."""
@@ -104,6 +121,15 @@ class ScalarMass:
         half = (blocks.halo.owned, blocks.start, blocks.columns, blocks.high, blocks.low)
         others = (len(far.start) - 1, far.start, far.columns, far.blocks)
         self._add("add_mass_to_half", factor, fixed, *half, *others)
+
+    def add_to_assembled(
+        self, blocks: SymmetricBlocks, factor: float, fixed: NDArray[np.int8]
+    ) -> None:
+        """The same where those of rows of other ranks were sent there before. Collective."""
+        blocks.far.blocks[:] = 0.0
+        self.add_to_half(blocks, factor, fixed)
+        blocks.far.collect()
+        blocks.version += 1
 
     def add_to_rows(
         self, matrix: la.MatrixCSR, factor: float, fixed: NDArray[np.int8], entries: IndexArray

@@ -46,6 +46,7 @@ from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.problem.state import Mode, State
 from dolfin_elastic.solvers.assembly.assembler import Assembler, Tangent, compiled, integral
 from dolfin_elastic.solvers.assembly.matrix import BilinearForm
+from dolfin_elastic.solvers.assembly.symmetric.blocks import halves
 from dolfin_elastic.solvers.assembly.two_stage.form import tangent_of_external_terms
 from dolfin_elastic.solvers.diagnostics.rigid_body import check_no_rigid_motion
 from dolfin_elastic.solvers.diagnostics.stability import FactorisedTangent
@@ -55,6 +56,7 @@ from dolfin_elastic.solvers.eigen.mode_shapes import at_rest, refuse, shape
 from dolfin_elastic.solvers.eigen.preload import PreloadedAnalysis
 from dolfin_elastic.solvers.eigen.settings import BucklingSettings
 from dolfin_elastic.solvers.eigen.slepc import Pair, choose_eigen, destroy
+from dolfin_elastic.solvers.linear.block_rows import halved
 from dolfin_elastic.solvers.linear.choice import LinearSettings
 from dolfin_elastic.solvers.statics.settings import StaticsSettings
 
@@ -200,20 +202,18 @@ class Buckling(PreloadedAnalysis):
     def _pairs(self, perturbation: Perturbation, share: float, sign: int) -> tuple[list[Pair], str]:
         """Load factors and modes, beginning with the nearest, and what has found them."""
         wanted = self.settings.count
-        change = perturbation.rate.copy()
-        change.scale(-float(sign))
+        perturbation.turn(-float(sign))
+        critical = CriticalLoad(
+            perturbation.assembler,
+            perturbation.rate,
+            choice=self.choice,
+            users=self.of_modes(loaded=self.settings.preload > 0.0),
+            tolerance=self.settings.tolerance,
+        )
         try:
-            critical = CriticalLoad(
-                self.problem,
-                perturbation.stiffness,
-                change,
-                choice=self.choice,
-                users=self.of_modes(loaded=self.settings.preload > 0.0),
-                tolerance=self.settings.tolerance,
-            )
             pairs = critical.lowest(wanted, perturbation.cycle)
         finally:
-            destroy(change)
+            critical.destroy()
         if len(pairs) < wanted:
             log.warning(
                 "%d buckling modes asked for under %s loads, there are only %d",
@@ -248,8 +248,8 @@ class Perturbation:
 
     Attributes:
         cycle: Of the stiffness; None: of factors only.
-        stiffness: K, ones on the diagonal where displacements are prescribed.
-        rate: K_sigma + K_load, zero there.
+        assembler: Its tangent is K, ones on the diagonal where displacements are prescribed.
+        rate: K_sigma + K_load, zero there; after `turn` with another sign.
         along: Rate of all unknowns with the load factor, ghosts included.
         strain_rate: Rate of the strain with the load factor, root of its mean square.
     """
@@ -257,19 +257,22 @@ class Perturbation:
     def __init__(self, problem: Problem, share: float, *, direct: bool = True) -> None:
         self._problem, self._share, self._direct = problem, share, direct
         self.cycle: Cycle | None = None
-        self._assembler = Assembler(problem)
-        self._x = self._assembler.create_vector()
+        self._sign = 1.0
+        self.assembler = Assembler(problem, iterated=not direct)
+        self._x = self.assembler.create_vector()
         try:
             self._make()
+        except BaseException:
+            self.assembler.destroy()
+            raise
         finally:
-            destroy(self._x, self._assembler)
+            self._x.destroy()
 
     def _make(self) -> None:
-        problem, assembler = self._problem, self._assembler
+        problem, assembler = self._problem, self.assembler
         base = problem.w.x.array.copy()
         rates = [self._residual(base, self._share + h) for h in (SHARE, -SHARE)]
         self._assembled(assembler.tangent, base, self._share)
-        self.stiffness: PETSc.Mat = assembler.tangent.matrix.copy()
         along = self._velocity(np.subtract(rates[1], rates[0]) / (2 * SHARE))
         top = largest(problem.body.comm, float(np.max(np.abs(along), initial=0.0)))
         if top == 0.0:
@@ -287,7 +290,7 @@ class Perturbation:
         form = problem.weak_form.geometric(state)
         form += ufl.replace(tangent_of_external_terms(problem), {problem.w: state})
         (compiled_form,) = compiled(problem, [form])
-        tangent = Tangent(self._assembler, BilinearForm(compiled_form), iterated=False)
+        tangent = Tangent(self.assembler, BilinearForm(compiled_form), iterated=False)
         try:
             rate = self._assembled(tangent, base + step * along, self._share + step).copy()
             before = self._assembled(tangent, base - step * along, self._share - step)
@@ -296,13 +299,23 @@ class Perturbation:
                 rate.scale(0.5 / step)
         finally:
             tangent.destroy()
-        return rate
+        if halves(self.assembler.tangent.matrix) is None:
+            return rate
+        try:
+            return halved(problem, compiled_form, rate)
+        finally:
+            rate.destroy()
+
+    def turn(self, sign: float) -> None:
+        """Makes `rate` the sum of both matrices times 1 or -1. Collective."""
+        self.rate.scale(sign * self._sign)
+        self._sign = sign
 
     def _put(self, values: FloatArray, share: float) -> None:
         """Sets the loads, and the vector of all unknowns."""
         self._problem.set_time(1.0, default=Amplitude(((0.0, share), (1.0, share))))
         self._problem.w.x.array[:] = values
-        self._assembler.get(self._x)
+        self.assembler.get(self._x)
 
     def _assembled(self, tangent: Tangent, values: FloatArray, share: float) -> PETSc.Mat:
         self._put(values, share)
@@ -312,7 +325,7 @@ class Perturbation:
 
     def _velocity(self, forces: FloatArray) -> FloatArray:
         """K^-1 f, ghosts included."""
-        assembler = self._assembler
+        assembler = self.assembler
         f, x = assembler.create_vector(), assembler.create_vector()
         f.array_w[:] = forces
         try:
@@ -328,12 +341,13 @@ class Perturbation:
 
     def _solved_by_cycles(self, f: PETSc.Vec, x: PETSc.Vec) -> bool:
         """Whether conjugate gradients converge, and the stiffness is shown to be positive."""
-        self.cycle = Cycle(self._problem, self.stiffness)
+        stiffness = self.assembler.tangent.matrix
+        self.cycle = Cycle(self._problem, stiffness)
         why = "the stiffness is not positive, or hardly"
         try:
-            if self.cycle.is_positive(self.stiffness):
+            if self.cycle.is_positive(stiffness):
                 if self.cycle.solve(f, x):
-                    self._assembler.extend(x.array_w)
+                    self.assembler.extend(x.array_w)
                     return True
                 why = "conjugate gradients do not converge"
         except NotConvergedError:
@@ -344,7 +358,7 @@ class Perturbation:
         return False
 
     def _solve_by_factors(self, f: PETSc.Vec, x: PETSc.Vec) -> None:
-        stability = FactorisedTangent(self._assembler)
+        stability = FactorisedTangent(self.assembler)
         try:
             if not stability.sound or stability.negative != 0:
                 raise ConvergenceError(
@@ -371,15 +385,15 @@ class Perturbation:
 
     def _residual(self, values: FloatArray, share: float) -> FloatArray:
         self._put(values, share)
-        f = self._assembler.create_vector()
-        self._assembler.residual.evaluate(self._x, f)
+        f = self.assembler.create_vector()
+        self.assembler.residual.evaluate(self._x, f)
         result = f.array_r.copy()
         f.destroy()
         return result
 
     def destroy(self) -> None:
         """Frees both matrices and the multigrid. Collective."""
-        destroy(self.cycle, self.stiffness, self.rate)
+        destroy(self.cycle, self.assembler, self.rate)
 
 
 def _check_laws(problem: Problem, preload: float) -> None:

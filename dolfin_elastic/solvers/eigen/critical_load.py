@@ -61,7 +61,7 @@ class CriticalLoad(Pencil):
             self.leave_blocks()
         room = int(self.A.getSize()[0]) - 1
         if not self.pressures:
-            return complete(self, 0.0, count, room=room)[:count]
+            return self.in_double(complete(self, 0.0, count, room=room)[:count])
         pairs = self.near(Search(0.0, count, room, spare=SPARE))
         log.info("with a pressure beside the displacement critical factors are not counted")
         return pairs[:count]

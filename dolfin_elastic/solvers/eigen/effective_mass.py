@@ -9,13 +9,14 @@ from petsc4py import PETSc
 
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.parallel import largest, total
-from dolfin_elastic.core.types import BoolArray, FloatArray
+from dolfin_elastic.core.types import BoolArray, FloatArray, IndexArray
 from dolfin_elastic.problem.connectivity import ConnectedBodies
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.solvers.assembly.assembler import Assembler
-from dolfin_elastic.solvers.assembly.matrix import ConstrainedMatrix
+from dolfin_elastic.solvers.assembly.matrix import ConstrainedMatrix, marked
 from dolfin_elastic.solvers.assembly.node_blocks import NodeBlocks
 from dolfin_elastic.solvers.assembly.scalar_mass import ScalarMass
+from dolfin_elastic.solvers.assembly.symmetric.blocks import SymmetricBlocks, halves
 from dolfin_elastic.solvers.diagnostics.rigid_body import rigid_motions
 from dolfin_elastic.solvers.diagnostics.rigid_body_names import motions_in_words
 from dolfin_elastic.solvers.linear.ksp import null_combinations, times
@@ -27,8 +28,52 @@ SAME = 1e-6
 """Share of a unit motion that is no motion of its own."""
 
 
+class FreeMass:
+    """The mass of what is free to move, as PETSc calls a matrix of type "python".
+
+    Args:
+        assembler: Of unknowns that are prescribed by themselves only.
+        fixed: Owned entries without inertia; those that are prescribed, or none yet.
+    """
+
+    def __init__(self, assembler: Assembler, mass: ScalarMass, fixed: IndexArray) -> None:
+        self._assembler, self._mass, self._fixed = assembler, mass, fixed
+
+    def mult(self, matrix: PETSc.Mat, x: PETSc.Vec, y: PETSc.Vec) -> None:
+        """Collective."""
+        free = x.array_r.copy()
+        free[self._fixed] = 0.0
+        y.array_w[:] = self._mass.times(free)
+        y.array_w[self._fixed] = 0.0
+
+    def times_several(self, vectors: FloatArray, images: FloatArray) -> None:
+        """Overwrites images by products with free vectors, one below the other. Collective."""
+        self._mass.times_several(vectors, images)
+        images[:, self._fixed] = 0.0
+
+    def getDiagonal(self, matrix: PETSc.Mat, diagonal: PETSc.Vec) -> None:
+        """Collective."""
+        diagonal.array_w[:] = self._mass.diagonal()
+        diagonal.array_w[self._fixed] = 0.0
+
+    def aij(self) -> PETSc.Mat:
+        """The same as an AIJ matrix, which the caller destroys. Collective."""
+        blocks = NodeBlocks(self._assembler, self._mass.blocks)
+        matrix = blocks.free().copy()
+        matrix.setOption(PETSc.Mat.Option.SYMMETRIC, True)
+        blocks.destroy()
+        return matrix
+
+    def add_to(self, blocks: SymmetricBlocks, factor: float) -> None:
+        """Adds a multiple to half of the tangent of the same unknowns. Collective."""
+        fixed = marked(self._assembler.bcs, blocks.dim * blocks.halo.size)
+        self._mass.add_to_assembled(blocks, factor, fixed)
+
+
 class Mass:
     """The consistent mass matrix, the integral of density a . v. Collective; `destroy` it.
+
+    One number for each pair of nodes where the tangent is kept by the half of its blocks.
 
     Args:
         assembler: Of the same unknowns.
@@ -40,13 +85,28 @@ class Mass:
 
     def __init__(self, assembler: Assembler) -> None:
         self._assembler, problem = assembler, assembler.problem
-        self._blocks = NodeBlocks(assembler, ScalarMass(problem).blocks)
-        self.matrix: PETSc.Mat = self._blocks.assembled()
+        self._scalar = ScalarMass(problem)
+        self._halved = halves(assembler.tangent.matrix) is not None
+        if self._halved:
+            self.matrix: PETSc.Mat = self._of_free(np.empty(0, dtype=np.int32))
+            return
+        self._blocks = NodeBlocks(assembler, self._scalar.blocks)
+        self.matrix = self._blocks.assembled()
         moves = assembler.displacement_dofs
         self._constrained = ConstrainedMatrix(problem, assembler, self.matrix, moves)
 
+    def _of_free(self, fixed: IndexArray) -> PETSc.Mat:
+        sizes, context = ((self._assembler.size, None),) * 2, (self._assembler, self._scalar, fixed)
+        matrix = PETSc.Mat().createPython(sizes, FreeMass(*context), self._assembler.comm)
+        matrix.setUp()
+        return matrix
+
     def constrain(self) -> None:
         """Leaves the inertia of what is free to move only. Collective."""
+        if self._halved:
+            self.matrix.destroy()
+            self.matrix = self._of_free(self._assembler.prescribed_dofs)
+            return
         self._constrained.renew(0.0)
         self.matrix = self._constrained.matrix
         start = self.matrix.getOwnershipRange()[0]
@@ -61,6 +121,9 @@ class Mass:
 
     def destroy(self) -> None:
         """Frees the matrix. Collective."""
+        if self._halved:
+            self.matrix.destroy()
+            return
         self._constrained.destroy()
         self._blocks.destroy()
 

@@ -58,7 +58,8 @@ class Cycle:
     """
 
     def __init__(self, problem: Problem, matrix: PETSc.Mat) -> None:
-        self._constraints = problem.constraints
+        rows = self._rows = problem.constraints
+        self._fixed = np.append(rows.prescribed_dofs, rows.tied_dofs)
         self.pc = PETSc.PC().create(problem.body.comm)
         self.pc.setOperators(matrix)
         self._multigrid = Multigrid(problem, self.pc)
@@ -69,14 +70,13 @@ class Cycle:
         By a symmetric positive matrix.
         """
         self._multigrid.apply_to_several(self.pc, vectors)
-        for vector in vectors:
-            vector[:] = self.free(vector)
+        self.free(vectors)
 
-    def free(self, vector: FloatArray) -> FloatArray:
-        """A vector without its constrained part."""
-        free = self._constraints.free_part(vector)
-        free[self._constraints.tied_dofs] = 0.0
-        return free
+    def free(self, vectors: FloatArray) -> None:
+        """Takes the constrained part from vectors, one below the other. Local."""
+        for vector in vectors if self._rows.skewed else ():
+            vector[:] = self._rows.free_part(vector)
+        vectors[:, self._fixed] = 0.0
 
     def solve(self, b: PETSc.Vec, x: PETSc.Vec) -> bool:
         """Whether conjugate gradients find x, to round-off nearly. Collective."""
@@ -98,7 +98,8 @@ class Cycle:
             NotConvergedError: It is too small to be told.
         """
         entries = matrix.getDiagonal()
-        entries.array_w[:] = self.free(np.abs(entries.array_r))
+        entries.array_w[:] = np.abs(entries.array_r)
+        self.free(entries.array_w[None])
         diagonal = PETSc.Mat().createDiagonal(entries)
         lowest = Lobpcg(Preconditioned(matrix, diagonal, self), 4, known=())
         lowest.solve(1, 1.0)
@@ -117,8 +118,7 @@ class Preconditioned:
 
     Args:
         B: Not negative, and zero where displacements are constrained; or the cycle's own matrix.
-        shift: Below all values that are looked for.
-        cycle: Of A - shift B, or of B where A is not positive.
+        cycle: Of A, or of B where A is not positive.
         sign: -1 stands for -A in place of A.
         of_B: The cycle is of B, by which residuals are measured then.
     """
@@ -129,11 +129,10 @@ class Preconditioned:
         B: PETSc.Mat,
         cycle: Cycle,
         *,
-        shift: float = 0.0,
         sign: float = 1.0,
         of_B: bool = False,
     ) -> None:
-        self.A, self.B, self.shift, self.sign = A, B, shift, sign
+        self.A, self.B, self.sign = A, B, sign
         self.cycle, self.of_B, self.comm = cycle, of_B, A.comm.tompi4py()
         diagonal = B.getDiagonal()
         entries = diagonal.array_r
@@ -143,16 +142,16 @@ class Preconditioned:
     def start(self, number: int) -> FloatArray:
         """One of many initial vectors, which are independent."""
         first, size = self.A.getOwnershipRange()[0], self.A.getSize()[0]
-        return self.cycle.free(random_vector(number * size + first, len(self.weights)))
+        vector = random_vector(number * size + first, len(self.weights))
+        self.cycle.free(vector[None])
+        return vector
 
-    def times_A(self, vectors: FloatArray, images: FloatArray) -> None:
-        """A, with its sign, times vectors, one below the other. Collective."""
-        _multiply(self.A, vectors, images)
-        images *= self.sign
-
-    def times_B(self, vectors: FloatArray, images: FloatArray) -> None:
-        """B times vectors. Collective."""
-        _multiply(self.B, vectors, images)
+    def times(self, vectors: FloatArray, of_A: FloatArray, of_B: FloatArray) -> None:
+        """A, with its sign, and B times vectors, one below the other. Collective."""
+        multiply(self.A, vectors, of_A)
+        if self.sign < 0.0:
+            np.negative(of_A, out=of_A)
+        multiply(self.B, vectors, of_B)
 
 
 class Lobpcg:
@@ -176,10 +175,10 @@ class Lobpcg:
         self._of, self._comm, n = pencil, pencil.comm, len(pencil.weights)
         self._known = np.array(known).reshape(len(known), n)
         self._images = np.empty_like(self._known)
-        pencil.times_B(self._known, self._images)
+        multiply(pencil.B, self._known, self._images)
         self._inverse = np.linalg.pinv(self._products(self._images, self._known))
         self._S = np.empty((3 * size, n))  # X, P and W, one below the other
-        self._AX, self._BX = (np.empty((size, n)) for _ in range(2))  # or those of W
+        self._Y = np.empty((2 * size, n))  # A X and B X, or those of W
         self._PAP, self.steps = np.empty((0, 0)), 0
         self.values: FloatArray = np.zeros(size)
         self.residuals: FloatArray = np.full(size, np.inf)
@@ -197,7 +196,7 @@ class Lobpcg:
         """Iterates until the lowest values have converged. Collective.
 
         Args:
-            tolerance: Relative error of their distance from the shift.
+            tolerance: Relative error.
             below: Values above are not wanted, and need not converge.
 
         Raises:
@@ -209,7 +208,7 @@ class Lobpcg:
             raise_if_agreed(self._comm)
             GA, GB = self._products_of_vectors()
             self._take_residuals(GA)
-            far = np.abs(self.values - self._of.shift)
+            far = np.abs(self.values)
             self.converged = self.residuals <= least * far
             beyond = self.values - self.residuals > below
             beyond[:1] &= self.residuals[:1] <= ROUGH * far[:1]
@@ -224,64 +223,56 @@ class Lobpcg:
 
     def _remove_known(self, vectors: FloatArray) -> None:
         """Makes vectors orthogonal to the known ones. Collective."""
-        vectors -= self._products(vectors, self._images) @ self._inverse @ self._known
+        _subtract(vectors, self._products(vectors, self._images) @ self._inverse, self._known)
+
+    def _products_in_both(self, vectors: FloatArray, others: FloatArray) -> FloatArray:
+        """Those of all of some vectors with all of others in A and in B. Collective.
+
+        Both kinds of images are one array: products of larger matrices take less time.
+        """
+        count = len(vectors)
+        images = self._Y[: 2 * count]
+        self._of.times(vectors, images[:count], images[count:])
+        return self._products(images, others).reshape(2, count, len(others))
 
     def _products_of_vectors(self) -> tuple[FloatArray, FloatArray]:
         """Those of X and P in A and B; the images of X stay. Collective."""
         m, p = len(self.values), len(self._PAP)
-        S, grams = self._S[: m + p], []
-        for times, images, last in (
-            (self._of.times_A, self._AX, self._PAP),
-            (self._of.times_B, self._BX, np.eye(p)),
-        ):
-            times(S[:m], images[:m])
-            rows = self._products(images[:m], S)
-            grams.append(np.block([[rows], [rows[:, m:].T, last]]))
-        return grams[0], grams[1]
+        S = self._S[: m + p]
+        rows, lasts = self._products_in_both(S[:m], S), (self._PAP, np.eye(p))
+        GA, GB = (np.block([[r], [r[:, m:].T, k]]) for r, k in zip(rows, lasts, strict=True))
+        return GA, GB
 
     def _take_residuals(self, GA: FloatArray) -> None:
         """Overwrites A X by the residuals among vectors that are not known. Collective."""
         m = len(self.values)
-        R, self.values = self._AX[:m], np.diag(GA)[:m].copy()
+        R, self.values = self._Y[:m], np.diag(GA)[:m].copy()
         for k in range(m):
-            R[k] -= self.values[k] * self._BX[k]
-        R -= self._products(R, self._known) @ self._inverse @ self._images
+            R[k] -= self.values[k] * self._Y[m + k]
+        _subtract(R, self._products(R, self._known) @ self._inverse, self._images)
         if self._of.of_B:
-            W = self._corrections(m)
+            W = self._S[m + len(self._PAP) :][:m]
+            W[:] = R
             self._of.cycle.improve(W)
             squares = np.array([np.dot(r, w) for r, w in zip(R, W, strict=True)])
         else:
             squares = np.array([np.dot(r * r, self._of.weights) for r in R])
         self.residuals = np.sqrt(total(self._comm, squares))
 
-    def _corrections(self, count: int) -> FloatArray:
-        """Room for those of all vectors, filled with residuals."""
-        first = count + len(self._PAP)
-        W = self._S[first : first + count]
-        W[:] = self._AX[:count]
-        return W
-
     def _with_residuals(self, GA: FloatArray, GB: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Makes W of the residuals, and adds its products. Collective."""
-        m, s, active = len(self.values), len(GA), ~self.converged
-        a = int(np.count_nonzero(active))
-        S, W = self._S[: s + a], self._S[s : s + a]
-        if self._of.of_B:
-            W[:] = self._S[s : s + m][active]
-        else:
-            W[:] = self._AX[:m][active]
+        m, s, active = len(self.values), len(GA), np.flatnonzero(~self.converged)
+        S = self._S[: s + len(active)]
+        W, R = S[s:], self._S[s:] if self._of.of_B else self._Y
+        for k, row in enumerate(active):
+            W[k] = R[row]
+        if not self._of.of_B:
             self._of.cycle.improve(W)
         self._remove_known(W)
-        W -= self._products(W, self._BX[:m]) @ S[:m]
-        grams = []
-        for times, room, known in (
-            (self._of.times_A, self._AX, GA),
-            (self._of.times_B, self._BX, GB),
-        ):
-            times(W, room[:a])
-            rows = self._products(room[:a], S)
-            grams.append(np.block([[known, rows[:, :s].T], [rows]]))
-        return grams[0], grams[1]
+        _subtract(W, self._products(W, self._Y[m : 2 * m]), S[:m])
+        rows = self._products_in_both(W, S)
+        GA, GB = (np.block([[G, r[:, :s].T], [r]]) for G, r in zip((GA, GB), rows, strict=True))
+        return GA, GB
 
     def _combine(self, GA: FloatArray, GB: FloatArray) -> None:
         """Takes the best vectors of the span, and their last changes. Collective."""
@@ -341,7 +332,13 @@ def _symmetric(G: FloatArray) -> FloatArray:
     return np.asarray((G + G.T) / 2)
 
 
-def _multiply(matrix: PETSc.Mat, vectors: FloatArray, images: FloatArray) -> None:
+def _subtract(vectors: FloatArray, factors: FloatArray, others: FloatArray) -> None:
+    """Subtracts combinations of other vectors, one for each."""
+    for k in range(0, vectors.shape[1], CHUNK) if len(others) else ():
+        vectors[:, k : k + CHUNK] -= factors @ others[:, k : k + CHUNK]
+
+
+def multiply(matrix: PETSc.Mat, vectors: FloatArray, images: FloatArray) -> None:
     """A matrix times several vectors at once, which takes a quarter of the time. Collective.
 
     Args:
@@ -349,6 +346,9 @@ def _multiply(matrix: PETSc.Mat, vectors: FloatArray, images: FloatArray) -> Non
         images: Is overwritten by as many vectors, in the same order.
     """
     if not len(vectors):
+        return
+    if matrix.getType() == "python":
+        matrix.getPythonContext().times_several(vectors, images)
         return
     size = matrix.getSizes()[0]
     X, Y = (

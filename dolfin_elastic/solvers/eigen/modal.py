@@ -153,7 +153,7 @@ class Modal(PreloadedAnalysis):
             vibration.destroy()
 
 
-def _assembler(problem: Problem, *, loaded: bool) -> Assembler:
+def _assembler(problem: Problem, *, loaded: bool, iterated: bool) -> Assembler:
     """Stiffness of the present state, without the load stiffness of follower loads if unloaded."""
     on = [
         load
@@ -161,12 +161,13 @@ def _assembler(problem: Problem, *, loaded: bool) -> Assembler:
         if load.follower and not load.is_eigenstrain and (load.amplitude or RAMP).at(0.0) != 0.0
     ]
     if loaded or not on or problem.weak_form.external is None:
-        return Assembler(problem)
+        return Assembler(problem, iterated=iterated)
     trial = ufl.TrialFunction(problem.W)
     return Assembler(
         problem,
         extra=problem.weak_form.external,
         extra_tangent=ufl.derivative(problem.weak_form.external, problem.w, trial),
+        iterated=iterated,
     )
 
 
@@ -177,7 +178,9 @@ class Vibration:
         self.problem, self.settings = modal.problem, modal.settings
         problem, comm = self.problem, self.problem.body.comm
         self._comm = comm
-        self.assembler = _assembler(problem, loaded=self.settings.preload)
+        loaded = self.settings.preload
+        iterated = not (modal.choice.direct or modal.of_modes(loaded=loaded))
+        self.assembler = _assembler(problem, loaded=loaded, iterated=iterated)
         self.mass = Mass(self.assembler)
         x = self.assembler.create_vector()
         self.assembler.get(x)
@@ -202,11 +205,10 @@ class Vibration:
                 expected="some nodes that are free to move: a finer mesh, or fewer supports",
             )
         self.spectrum = Spectrum(
-            problem,
-            self.assembler.tangent.matrix,
+            self.assembler,
             self.mass.matrix,
             choice=modal.choice,
-            users=modal.of_modes(loaded=self.settings.preload),
+            users=modal.of_modes(loaded=loaded),
             tolerance=self.settings.tolerance,
         )
         self.smooth = self._smooth()
@@ -301,7 +303,7 @@ class Vibration:
             if not (-shift > FAR * first and first > NOTHING * self.smooth):
                 break
             shift = -first  # nearer, for the sake of the lowest ones
-        return pairs[:count]
+        return self.spectrum.in_double(pairs[:count])
 
     def _mode(self, number: int, pair: Pair | RigidMode, base: fem.Function, done: float) -> Mode:
         vector = pair.vector.copy()

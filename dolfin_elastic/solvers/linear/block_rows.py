@@ -9,10 +9,12 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
+from dolfinx import fem
 from petsc4py import PETSc
 
-from dolfin_elastic.core.jit import CFunctions
+from dolfin_elastic.core.jit import CFunctions, compile_c
 from dolfin_elastic.core.types import AnyArray, FloatArray, IndexArray, IntArray, SingleArray
+from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.solvers.assembly.symmetric.blocks import SymmetricBlocks, in_full
 from dolfin_elastic.solvers.petsc.c_api import parts_of_aij
 from dolfin_elastic.solvers.petsc.halo import Halo
@@ -43,10 +45,6 @@ class Interpolation:
     def destroy(self) -> None:
         """Frees PETSc's objects. Collective."""
         self.halo.destroy()
-
-
-EIGHT = 8
-"""Right-hand sides of one cycle, where there are several: what a vector register holds."""
 
 
 def of_width(name: str, b: FloatArray) -> str:
@@ -359,3 +357,21 @@ def interpolation_from_petsc(matrix: PETSc.Mat, R: int, C: int, loops: CFunction
     for first, count, part in A.parts():
         blocks[A.start[first] : A.start[first + count]] = part
     return Interpolation(A.start, A.columns, blocks, A.halo)
+
+
+def halved(problem: Problem, form: fem.Form, matrix: PETSc.Mat) -> PETSc.Mat:
+    """A symmetric AIJ matrix by the half of its blocks, which the caller destroys. Collective.
+
+    Args:
+        problem: Whose displacement is the only unknown.
+        form: Compiled, with the pattern of the matrix.
+    """
+    dim, blocks = problem.body.dim, SymmetricBlocks(problem, form)
+    sizes = {"DIM": dim, "MODES": 3 * dim - 3}
+    A = PetscRows(matrix, dim, dim, compile_c(blocks.halo.comm, "multigrid.c", sizes, problem.jit))
+    nodes = np.repeat(np.arange(A.rows), np.diff(A.start))
+    places = blocks.places(nodes, A.halo.globally(A.columns))
+    for first, count, part in A.parts():
+        blocks.add_at(places[A.start[first] : A.start[first + count]], part)
+    A.destroy()
+    return blocks.petsc()

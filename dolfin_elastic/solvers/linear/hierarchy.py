@@ -19,10 +19,10 @@ from dolfin_elastic.core.jit import CFunctions, compile_c
 from dolfin_elastic.core.types import FloatArray, IndexArray
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.solvers.assembly.node_blocks import NodeBlocks
-from dolfin_elastic.solvers.assembly.symmetric.blocks import SymmetricBlocks
+from dolfin_elastic.solvers.assembly.symmetric.blocks import SymmetricBlocks, halves
+from dolfin_elastic.solvers.assembly.symmetric.several import EIGHT, by_eights
 from dolfin_elastic.solvers.linear.aggregation import galerkin, smoothed_interpolation
 from dolfin_elastic.solvers.linear.block_rows import (
-    EIGHT,
     BlockRows,
     Interpolation,
     PetscRows,
@@ -355,7 +355,7 @@ class Multigrid:
         self.reset(pc)
         give_back()  # what outputs needed: this is where most memory is in use
         dim = self._problem.body.dim
-        self._half = _half(pc)
+        self._half = halves(pc.getOperators()[1])
         A: BlockRows = (
             PetscRows(pc.getOperators()[1], dim, dim, self._loops)
             if self._half is None
@@ -382,7 +382,7 @@ class Multigrid:
 
     def apply(self, pc: PETSc.PC, x: PETSc.Vec, y: PETSc.Vec) -> None:
         """One cycle. Collective."""
-        if self._half is not _half(pc):
+        if self._half is not halves(pc.getOperators()[1]):
             self.setUp(pc)  # other pairs of nodes have blocks
         assert self._hierarchy is not None
         self._hierarchy.renew()
@@ -390,19 +390,17 @@ class Multigrid:
         y.array_w[:] = self._hierarchy.cycle(b).reshape(-1)
 
     def apply_to_several(self, pc: PETSc.PC, vectors: FloatArray) -> None:
-        """One cycle for each of several vectors, of a matrix of PETSc's entries. Collective.
+        """One cycle for each of several vectors. Collective.
 
         Args:
             vectors: Owned entries, one vector below the other, which are overwritten.
         """
         pc.setUp()
-        assert self._hierarchy is not None
-        for first in range(0, len(vectors), EIGHT):
-            part = vectors[first : first + EIGHT]
-            b = np.zeros((part.shape[1], EIGHT))
-            b[:, : len(part)] = part.T
-            x = self._hierarchy.cycle(b.reshape(-1, self._problem.body.dim, EIGHT))
-            part[:] = x.reshape(b.shape)[:, : len(part)].T
+        hierarchy, dim = self._hierarchy, self._problem.body.dim
+        assert hierarchy is not None
+        hierarchy.renew()
+        b = np.empty((vectors.shape[1] // dim, dim, EIGHT))
+        by_eights(vectors, vectors, b, lambda: hierarchy.cycle(b), self._loops)
 
     def view(self, pc: PETSc.PC, viewer: PETSc.Viewer) -> None:
         """Names the levels. Collective.
@@ -427,10 +425,3 @@ class Multigrid:
         if self._means is not None:
             self._means.destroy()
         self._linear = self._means = None
-
-
-def _half(pc: PETSc.PC) -> SymmetricBlocks | None:
-    """The tangent that a PC is of by the half of its blocks; None of another one."""
-    matrix = pc.getOperators()[1]
-    context = matrix.getPythonContext() if matrix.getType() == "python" else None
-    return context if isinstance(context, SymmetricBlocks) else None

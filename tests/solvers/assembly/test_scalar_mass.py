@@ -97,6 +97,11 @@ def test_products_and_diagonal_are_those_of_the_form(dim: int, degree: int, geom
     diagonal.destroy()
     matrix.destroy()
     assert np.array_equal(inertia.times(x), mass.times(x))
+    vectors = np.array([np.roll(x, k) for k in range(11)])
+    images = np.full_like(vectors, np.nan)
+    mass.times_several(vectors, images)
+    for one, image in zip(vectors, images, strict=True):
+        alike(image, mass.times(one), comm, within=1e-15)
     kinetic = compiled(problem, [problem.weak_form.inertia(a, a)])[0]
     energy = total(comm, float(np.dot(x, mass.times(x))))
     assert energy == pytest.approx(integral(problem, kinetic), rel=1e-13)

@@ -107,6 +107,21 @@ def test_products_and_diagonal_are_those_of_the_entries(dim: int, degree: int) -
 
 
 @pytest.mark.parametrize(("dim", "degree"), CASES)
+def test_products_with_several_vectors_are_those_with_each(dim: int, degree: int) -> None:
+    """Eight at once, and the three that are left."""
+    with both(bent(dim, degree)) as (half, _, _):
+        K = half.tangent.matrix
+        v = some(K)
+        vectors = np.array([np.roll(v.array_r, k) * (k + 1) for k in range(11)])
+        images = np.full_like(vectors, np.nan)
+        K.getPythonContext().times_several(vectors, images)
+        for x, image in zip(vectors, images, strict=True):
+            v.array_w[:] = x
+            same(image, times(K, v), 1e-15, half.comm)
+        v.destroy()
+
+
+@pytest.mark.parametrize(("dim", "degree"), CASES)
 def test_as_entries_it_is_the_same_matrix(dim: int, degree: int) -> None:
     with both(bent(dim, degree)) as (half, entries, _), half.tangent.entries() as K:
         A = entries.tangent.matrix

@@ -276,7 +276,10 @@ def test_geometric_stiffness_by_hand() -> None:
     )
     at_rest(problem)
     perturbation = Perturbation(problem, 0.0)
-    K, G = (np.array(matrix[:, :]) for matrix in (perturbation.stiffness, perturbation.rate))
+    K, G = (
+        np.array(matrix[:, :])
+        for matrix in (perturbation.assembler.tangent.matrix, perturbation.rate)
+    )
     perturbation.destroy()
 
     X, cells = problem.V.tabulate_dof_coordinates(), problem.V.dofmap.list

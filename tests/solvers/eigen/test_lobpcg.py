@@ -30,7 +30,7 @@ from dolfin_elastic import (
 from dolfin_elastic.core.errors import ConvergenceError
 from dolfin_elastic.mesh import name_parts
 from dolfin_elastic.problem.state import Mode
-from dolfin_elastic.solvers.eigen import lobpcg
+from dolfin_elastic.solvers.eigen import lobpcg, modal
 from dolfin_elastic.solvers.eigen.mode_shapes import at_rest
 from dolfin_elastic.solvers.linear.choice import LinearSettings
 from dolfin_elastic.solvers.statics.settings import StaticsSettings
@@ -91,6 +91,31 @@ def test_modes_are_those_of_factors(name: str) -> None:
         for axis, whole in direct[0].whole.items():
             theirs, ours = (x[elastic[k]].effective[axis] / whole for x in (direct, found))
             assert ours == pytest.approx(theirs, abs=1e-4)
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_half_of_the_blocks_is_there(name: str) -> None:
+    """Of a stiffness whose entries are prescribed by themselves; with a mass of one number a pair.
+
+    The mass is the one of factors where motions are free.
+    """
+    problem = CASES[name]()
+    found = [
+        modal.Vibration(Modal(problem, count=1, linear=LinearSettings(method=method)))
+        for method in ("direct", "iterative")
+    ]
+    direct, iterative = (one.spectrum for one in found)
+    combined = name in ("tied", "on rollers")
+    assert (iterative.A.getType() == "python") == (not combined)
+    assert direct.A.getType() != "python"
+    x, images = direct.A.createVecRight(), [direct.A.createVecLeft() for _ in found]
+    x.array_w[:] = np.cos(np.arange(*x.getOwnershipRange()))
+    for one, y in zip((direct, iterative), images, strict=True):
+        one.B.mult(x, y)
+    images[1].axpy(-1.0, images[0])
+    assert images[1].norm() <= 1e-14 * images[0].norm()
+    for thing in (*found, x, *images):
+        thing.destroy()
 
 
 def cubes(number: int, **keys: Any) -> Problem:

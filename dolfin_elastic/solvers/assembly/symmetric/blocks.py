@@ -15,6 +15,7 @@ from dolfin_elastic.core.compat import column_map
 from dolfin_elastic.core.jit import CFunctions, compile_c
 from dolfin_elastic.core.types import FloatArray, IndexArray, IntArray, SingleArray
 from dolfin_elastic.problem.problem import Problem
+from dolfin_elastic.solvers.assembly.symmetric.several import EIGHT, by_eights
 from dolfin_elastic.solvers.petsc.halo import Halo, RowsOfOthers
 
 
@@ -69,6 +70,7 @@ class SymmetricBlocks:
         ghosts = offsets[n:]
         self.far = OffProcessRows(self, ghosts - ghosts[0], columns[ghosts[0] :].copy())
         self._x = np.zeros((self.halo.size, self.dim)) if self.halo.comm.size > 1 else None
+        self._eight: list[FloatArray] = []
 
     @property
     def nbytes(self) -> int:
@@ -129,6 +131,21 @@ class SymmetricBlocks:
         else:
             self.loops.call("product", *rows, self.low, self.halo.size, x, y)
 
+    def times_several(self, vectors: FloatArray, images: FloatArray) -> None:
+        """Overwrites images by products with vectors, one below the other. Collective."""
+        if not self._eight:
+            nodes = (self.halo.size, self.halo.owned)
+            self._eight = [np.zeros((count, self.dim * EIGHT)) for count in nodes]
+        x, y = self._eight
+        rows = (self.halo.owned, self.start, self.columns, self.high, self.low, self.halo.size)
+
+        def times() -> FloatArray:
+            self.halo.fill(x)
+            self.loops.call("product_eight", *rows, x, y)
+            return y
+
+        by_eights(vectors, images, x, times, self.loops)
+
     def diagonal_blocks(self) -> FloatArray:
         """The first block of each row, shape (nodes, R, R). Local."""
         first, shape = self.start[:-1], (-1, self.dim, self.dim)
@@ -160,6 +177,14 @@ class SymmetricBlocks:
         matrix.assemble()
         return matrix
 
+    def petsc(self) -> PETSc.Mat:
+        """A PETSc matrix of type "python" that is these blocks, and frees them. Collective."""
+        size = (self.halo.owned * self.dim, None)
+        matrix = PETSc.Mat().createPython((size, size), self, self.halo.comm)
+        matrix.setBlockSize(self.dim)
+        matrix.setUp()
+        return matrix
+
     # --- what PETSc calls ---
 
     def mult(self, matrix: PETSc.Mat, x: PETSc.Vec, y: PETSc.Vec) -> None:
@@ -184,6 +209,12 @@ class SymmetricBlocks:
         """Overwrites the diagonal. Not collective."""
         self._put_diagonal(np.arange(self.dim * self.halo.owned, dtype=np.int32), diagonal.array_r)
 
+    def scale(self, matrix: PETSc.Mat, factor: float) -> None:
+        """Multiplies all blocks by a power of two, or minus that. Not collective."""
+        self.high *= np.float32(factor)
+        self.low *= np.float32(factor)
+        self.version += 1
+
     def _put_diagonal(self, entries: IndexArray, values: FloatArray) -> None:
         blocks = (self.halo.owned, self.start, self.high, self.low)
         self.loops.call("put_diagonal", len(entries), entries, values, *blocks)
@@ -192,8 +223,15 @@ class SymmetricBlocks:
     def destroy(self, matrix: PETSc.Mat) -> None:
         """Frees the blocks, which others may still refer to, and PETSc's objects. Collective."""
         self.high = self.low = np.empty(0, dtype=np.float32)
+        self._eight.clear()
         self.far.destroy()
         self.halo.destroy()
+
+
+def halves(matrix: PETSc.Mat) -> SymmetricBlocks | None:
+    """What a PETSc matrix is made of, if it is that; else None. Not collective."""
+    context = matrix.getPythonContext() if matrix.getType() == "python" else None
+    return context if isinstance(context, SymmetricBlocks) else None
 
 
 class OffProcessRows:

@@ -39,10 +39,7 @@ class SymmetricMatrix:
         self._patterns: list[int] = []
         self._places: list[IntArray] = []
         self.blocks = SymmetricBlocks(dofs.problem, form.form)
-        size = (self.blocks.halo.owned * self.blocks.dim, None)
-        self.petsc = PETSc.Mat().createPython((size, size), self.blocks, dofs.comm)
-        self.petsc.setBlockSize(self.blocks.dim)
-        self.petsc.setUp()
+        self.petsc = self.blocks.petsc()
 
     def assemble(self) -> None:
         """Assembles the form, with ones on the diagonal of prescribed rows. Collective."""
