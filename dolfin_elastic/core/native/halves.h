@@ -64,76 +64,19 @@ INLINE void multiply_row_of_three(const int both, int64_t i, int64_t n, const in
     y[3 * i + r] += s[0][r];
 }
 
-/* --- Eight vectors at once: in place of each number of a vector there are those of eight, side by
-   side, in as many parts as registers need.  Loops take one part of all numbers, from its first
-   on; gcc's vectors of more than a register are slower than single numbers. --- */
-
-#ifdef __AVX512F__
-#define PARTS 1
-#else
-#define PARTS 2
-#endif
-typedef double part __attribute__((vector_size(64 / PARTS), aligned(8)));
-
-/* What row i of A x adds to y. */
-INLINE void multiply_row_eight(const int both, const int R, int64_t i, int64_t n,
-                               const int64_t* start, const int32_t* columns, const float* high,
-                               const float* low, const part* x, part* y)
-{
-  part own[R], s[R];
-  for (int r = 0; r < R; r++)
-  {
-    own[r] = x[PARTS * (i * R + r)];
-    s[r] = (part){0.0};
-  }
-  for (int64_t k = start[i]; k < start[i + 1]; k++)
-  {
-    const int64_t j = columns[k];
-    const int turned = j > i && j < n;
-    const float *h = high + k * R * R, *l = low + k * R * R;
-    double a[R * R];
-    int e = 0;
-    for (; e + 4 <= R * R; e += 4)
-      *(double4*)(a + e) = column(both, h + e, l + e);
-    for (; e < R * R; e++)
-      a[e] = both ? (double)h[e] + (double)l[e] : (double)h[e];
-    for (int c = 0; c < R; c++)
-    {
-      part t = {0.0};
-      for (int r = 0; r < R; r++)
-      {
-        s[r] += a[c * R + r] * x[PARTS * (j * R + c)];
-        t += a[c * R + r] * own[r];
-      }
-      if (turned)
-        y[PARTS * (j * R + c)] += t;
-    }
-  }
-  for (int r = 0; r < R; r++)
-    y[PARTS * (i * R + r)] += s[r];
-}
-
 /* Vectors, one below the other, side by side; those that are missing are zero. */
-int64_t side_by_side(int64_t count, int64_t n, const double vectors[count * n],
-                     double eight[8 * n])
-{
-  for (int64_t first = 0; first < n; first += 8)
-    for (int64_t v = 0; v < 8; v++)
-      for (int64_t k = first; k < n && k < first + 8; k++)
-        eight[8 * k + v] = v < count ? vectors[v * n + k] : 0.0;
-  return 0;
-}
+#define PUT_SIDE_BY_SIDE(count, n, vectors, eight)                                                 \
+  for (int64_t first = 0; first < n; first += 8)                                                   \
+    for (int64_t v = 0; v < 8; v++)                                                                \
+      for (int64_t k = first; k < n && k < first + 8; k++)                                         \
+        eight[8 * k + v] = v < count ? vectors[v * n + k] : 0.0
 
 /* The other way round. */
-int64_t one_below_the_other(int64_t count, int64_t n, const double eight[8 * n],
-                            double vectors[count * n])
-{
-  for (int64_t first = 0; first < n; first += 8)
-    for (int64_t v = 0; v < count; v++)
-      for (int64_t k = first; k < n && k < first + 8; k++)
-        vectors[v * n + k] = eight[8 * k + v];
-  return 0;
-}
+#define PUT_ONE_BELOW_THE_OTHER(count, n, eight, vectors)                                          \
+  for (int64_t first = 0; first < n; first += 8)                                                   \
+    for (int64_t v = 0; v < count; v++)                                                            \
+      for (int64_t k = first; k < n && k < first + 8; k++)                                         \
+        vectors[v * n + k] = eight[8 * k + v]
 
 /* Where rows of all blocks begin. */
 int64_t count_in_full(int64_t n, const int64_t start[n + 1], const int32_t columns[start[n]],

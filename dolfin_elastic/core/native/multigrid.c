@@ -1137,87 +1137,101 @@ int64_t restrict_residual_of_half(int64_t R, int64_t C, int64_t n, const int64_t
   return 0;
 }
 
-/* --- The cycle for eight right-hand sides at once, side by side as halves.h says. --- */
+/* --- The cycle for eight right-hand sides at once: in place of each number of a vector there are
+   those of eight vectors, side by side.  In single precision: a cycle is an approximate inverse,
+   and reads and writes its vectors more often than the matrix. --- */
+
+/* See halves.h. */
+int64_t side_by_side(int64_t count, int64_t n, const double vectors[count * n], float eight[8 * n])
+{
+  PUT_SIDE_BY_SIDE(count, n, vectors, eight);
+  return 0;
+}
+int64_t one_below_the_other(int64_t count, int64_t n, const float eight[8 * n],
+                            double vectors[count * n])
+{
+  PUT_ONE_BELOW_THE_OTHER(count, n, eight, vectors);
+  return 0;
+}
 
 INLINE void row_times_eight(const int R, int64_t first, int64_t last, const int32_t* columns,
-                            const float* a, const part* x, part* y)
+                            const float* a, const float8* x, float8* y)
 {
   for (int64_t k = first; k < last; k++)
     for (int c = 0; c < R; c++)
     {
-      const part v = x[PARTS * ((int64_t)R * columns[k] + c)];
+      const float8 v = x[((int64_t)R * columns[k] + c)];
       for (int r = 0; r < R; r++)
-        y[r] += (double)a[(k * R + c) * R + r] * v;
+        y[r] += a[(k * R + c) * R + r] * v;
     }
 }
 
 /* z + S r */
-INLINE void add_scaled_eight(const int R, const float* inverse, const part* r, part* z)
+INLINE void add_scaled_eight(const int R, const float* inverse, const float8* r, float8* z)
 {
   for (int c = 0; c < R; c++)
     for (int k = 0; k < R; k++)
-      z[PARTS * k] += (double)inverse[c * R + k] * r[c];
+      z[k] += inverse[c * R + k] * r[c];
 }
 
 /* r = b - A x, of one node */
 INLINE void residual_eight(const int R, int64_t i, const int64_t* start, const int32_t* columns,
-                           const float* a, const part* x, const part* b, part* r)
+                           const float* a, const float8* x, const float8* b, float8* r)
 {
   for (int k = 0; k < R; k++)
-    r[k] = (part){0.0};
+    r[k] = (float8){0.0};
   row_times_eight(R, start[i], start[i + 1], columns, a, x, r);
   for (int k = 0; k < R; k++)
-    r[k] = b[PARTS * (i * R + k)] - r[k];
+    r[k] = b[i * R + k] - r[k];
 }
 
 /* coarse += P^T r, of one node */
 INLINE void restrict_node_eight(const int R, const int C, int64_t first, int64_t last,
-                                const int32_t* p_columns, const float* p, const part* r,
-                                part* coarse)
+                                const int32_t* p_columns, const float* p, const float8* r,
+                                float8* coarse)
 {
   for (int64_t l = first; l < last; l++)
     for (int c = 0; c < C; c++)
     {
-      part sum = {0.0};
+      float8 sum = {0.0};
       for (int k = 0; k < R; k++)
-        sum += (double)p[(l * R + k) * C + c] * r[k];
-      coarse[PARTS * ((int64_t)C * p_columns[l] + c)] += sum;
+        sum += p[(l * R + k) * C + c] * r[k];
+      coarse[((int64_t)C * p_columns[l] + c)] += sum;
     }
 }
 
 /* y = S b */
 INLINE void smooth_first_eight_(const int R, const int C, int64_t n, const float* inverse,
-                                const part* b, part* y)
+                                const float8* b, float8* y)
 {
   (void)C;
   for (int64_t i = 0; i < n; i++)
   {
-    part r[R];
+    float8 r[R];
     for (int k = 0; k < R; k++)
     {
-      r[k] = b[PARTS * (i * R + k)];
-      y[PARTS * (i * R + k)] = (part){0.0};
+      r[k] = b[i * R + k];
+      y[i * R + k] = (float8){0.0};
     }
-    add_scaled_eight(R, inverse + i * R * R, r, y + PARTS * i * R);
+    add_scaled_eight(R, inverse + i * R * R, r, y + i * R);
   }
 }
 int64_t smooth_first_eight(int64_t R, int64_t n, const float inverse[R * R * n],
-                           const double b[8 * R * n], double y[8 * R * n])
+                           const float b[8 * R * n], float y[8 * R * n])
 {
-  for (int h = 0; h < PARTS; h++)
-    DISPATCH(R, R, smooth_first_eight_, n, inverse, (const part*)b + h, (part*)y + h);
+  DISPATCH(R, R, smooth_first_eight_, n, inverse, (const float8*)b, (float8*)y);
   return 0;
 }
 
 /* y = x + S (b - y), of one node, where y is A x */
-INLINE void correct_eight(const int R, const float* inverse, const part* x, const part* b,
-                          part* y)
+INLINE void correct_eight(const int R, const float* inverse, const float8* x, const float8* b,
+                          float8* y)
 {
-  part r[R];
+  float8 r[R];
   for (int k = 0; k < R; k++)
   {
-    r[k] = b[PARTS * k] - y[PARTS * k];
-    y[PARTS * k] = x[PARTS * k];
+    r[k] = b[k] - y[k];
+    y[k] = x[k];
   }
   add_scaled_eight(R, inverse, r, y);
 }
@@ -1225,38 +1239,37 @@ INLINE void correct_eight(const int R, const float* inverse, const part* x, cons
 /* y = x + S (b - A x) */
 INLINE void smooth_eight_(const int R, const int C, int64_t n, const int64_t* start,
                           const int32_t* columns, const float* a, const float* inverse,
-                          const part* x, const part* b, part* y)
+                          const float8* x, const float8* b, float8* y)
 {
   (void)C;
   for (int64_t i = 0; i < n; i++)
   {
-    part r[R];
+    float8 r[R];
     residual_eight(R, i, start, columns, a, x, b, r);
     for (int k = 0; k < R; k++)
-      y[PARTS * (i * R + k)] = x[PARTS * (i * R + k)];
-    add_scaled_eight(R, inverse + i * R * R, r, y + PARTS * i * R);
+      y[i * R + k] = x[i * R + k];
+    add_scaled_eight(R, inverse + i * R * R, r, y + i * R);
   }
 }
 int64_t smooth_eight(int64_t R, int64_t n, const int64_t start[n + 1],
                      const int32_t columns[start[n]], const float a[R * R * start[n] + 1],
-                     const float inverse[R * R * n], int64_t nodes, const double x[8 * R * nodes],
-                     const double b[8 * R * n], double y[8 * R * n])
+                     const float inverse[R * R * n], int64_t nodes, const float x[8 * R * nodes],
+                     const float b[8 * R * n], float y[8 * R * n])
 {
-  for (int h = 0; h < PARTS; h++)
-    DISPATCH(R, R, smooth_eight_, n, start, columns, a, inverse, (const part*)x + h,
-             (const part*)b + h, (part*)y + h);
+  DISPATCH(R, R, smooth_eight_, n, start, columns, a, inverse, (const float8*)x,
+           (const float8*)b, (float8*)y);
   return 0;
 }
 
 /* coarse += P^T (b - A x) */
 INLINE void restrict_residual_eight_(const int R, const int C, int64_t n, const int64_t* start,
-                                     const int32_t* columns, const float* a, const part* x,
-                                     const part* b, const int64_t* p_start,
-                                     const int32_t* p_columns, const float* p, part* coarse)
+                                     const int32_t* columns, const float* a, const float8* x,
+                                     const float8* b, const int64_t* p_start,
+                                     const int32_t* p_columns, const float* p, float8* coarse)
 {
   for (int64_t i = 0; i < n; i++)
   {
-    part r[R];
+    float8 r[R];
     residual_eight(R, i, start, columns, a, x, b, r);
     restrict_node_eight(R, C, p_start[i], p_start[i + 1], p_columns, p, r, coarse);
   }
@@ -1264,56 +1277,86 @@ INLINE void restrict_residual_eight_(const int R, const int C, int64_t n, const 
 int64_t restrict_residual_eight(int64_t R, int64_t C, int64_t n, const int64_t start[n + 1],
                                 const int32_t columns[start[n]],
                                 const float a[R * R * start[n] + 1], int64_t nodes,
-                                const double x[8 * R * nodes], const double b[8 * R * n],
+                                const float x[8 * R * nodes], const float b[8 * R * n],
                                 const int64_t p_start[n + 1], const int32_t p_columns[p_start[n]],
                                 const float p[R * C * p_start[n] + 2], int64_t groups,
-                                double coarse[8 * C * groups])
+                                float coarse[8 * C * groups])
 {
-  for (int h = 0; h < PARTS; h++)
-    DISPATCH(R, C, restrict_residual_eight_, n, start, columns, a, (const part*)x + h,
-             (const part*)b + h, p_start, p_columns, p, (part*)coarse + h);
+  DISPATCH(R, C, restrict_residual_eight_, n, start, columns, a, (const float8*)x,
+           (const float8*)b, p_start, p_columns, p, (float8*)coarse);
   return 0;
 }
 
 /* x += P e */
 INLINE void prolong_eight_(const int R, const int C, int64_t n, const int64_t* p_start,
-                           const int32_t* p_columns, const float* p, const part* e, part* x)
+                           const int32_t* p_columns, const float* p, const float8* e, float8* x)
 {
   for (int64_t i = 0; i < n; i++)
   {
-    part sum[R];
+    float8 sum[R];
     for (int k = 0; k < R; k++)
-      sum[k] = x[PARTS * (i * R + k)];
+      sum[k] = x[i * R + k];
     for (int64_t l = p_start[i]; l < p_start[i + 1]; l++)
       for (int c = 0; c < C; c++)
       {
-        const part v = e[PARTS * ((int64_t)C * p_columns[l] + c)];
+        const float8 v = e[((int64_t)C * p_columns[l] + c)];
         for (int k = 0; k < R; k++)
-          sum[k] += (double)p[(l * R + k) * C + c] * v;
+          sum[k] += p[(l * R + k) * C + c] * v;
       }
     for (int k = 0; k < R; k++)
-      x[PARTS * (i * R + k)] = sum[k];
+      x[i * R + k] = sum[k];
   }
 }
 int64_t prolong_eight(int64_t R, int64_t C, int64_t n, const int64_t p_start[n + 1],
                       const int32_t p_columns[p_start[n]], const float p[R * C * p_start[n] + 2],
-                      int64_t groups, const double e[8 * C * groups], double x[8 * R * n])
+                      int64_t groups, const float e[8 * C * groups], float x[8 * R * n])
 {
-  for (int h = 0; h < PARTS; h++)
-    DISPATCH(R, C, prolong_eight_, n, p_start, p_columns, p, (const part*)e + h, (part*)x + h);
+  DISPATCH(R, C, prolong_eight_, n, p_start, p_columns, p, (const float8*)e, (float8*)x);
   return 0;
+}
+
+/* What row i of A x adds to y, of a matrix by the half of its blocks. */
+INLINE void multiply_row_of_half_eight(const int R, int64_t i, int64_t n, const int64_t* start,
+                                       const int32_t* columns, const float* half, const float8* x,
+                                       float8* y)
+{
+  float8 own[R], s[R];
+  for (int r = 0; r < R; r++)
+  {
+    own[r] = x[i * R + r];
+    s[r] = (float8){0.0};
+  }
+  for (int64_t k = start[i]; k < start[i + 1]; k++)
+  {
+    const int64_t j = columns[k];
+    const int both = j > i && j < n;
+    for (int c = 0; c < R; c++)
+    {
+      float8 t = {0.0};
+      for (int r = 0; r < R; r++)
+      {
+        const float a = half[(k * R + c) * R + r];
+        s[r] += a * x[j * R + c];
+        t += a * own[r];
+      }
+      if (both)
+        y[j * R + c] += t;
+    }
+  }
+  for (int r = 0; r < R; r++)
+    y[i * R + r] += s[r];
 }
 
 /* y = x + S (b - A x) */
 INLINE void smooth_of_half_eight_(const int R, const int C, int64_t n, const int64_t* start,
                                   const int32_t* columns, const float* half, const float* inverse,
-                                  const part* x, const part* b, part* y)
+                                  const float8* x, const float8* b, float8* y)
 {
   (void)C;
   for (int64_t i = 0; i < n; i++)
   {
-    multiply_row_eight(0, R, i, n, start, columns, half, half, x, y);
-    const int64_t at = PARTS * i * R;
+    multiply_row_of_half_eight(R, i, n, start, columns, half, x, y);
+    const int64_t at = i * R;
     correct_eight(R, inverse + i * R * R, x + at, b + at, y + at);
   }
 }
@@ -1321,42 +1364,40 @@ int64_t smooth_of_half_eight(int64_t R, int64_t n, const int64_t start[n + 1],
                              const int32_t columns[start[n]],
                              const float half[R * R * start[n] + R / 3],
                              const float inverse[R * R * n], int64_t nodes,
-                             const double x[8 * R * nodes], const double b[8 * R * n],
-                             double y[8 * R * n])
+                             const float x[8 * R * nodes], const float b[8 * R * n],
+                             float y[8 * R * n])
 {
-  memset(y, 0, sizeof(double) * 8 * R * n);
-  for (int h = 0; h < PARTS; h++)
-    DISPATCH(R, R, smooth_of_half_eight_, n, start, columns, half, inverse, (const part*)x + h,
-             (const part*)b + h, (part*)y + h);
+  memset(y, 0, sizeof(float) * 8 * R * n);
+  DISPATCH(R, R, smooth_of_half_eight_, n, start, columns, half, inverse, (const float8*)x,
+           (const float8*)b, (float8*)y);
   return 0;
 }
 
 /* coarse += P^T (b - A x); y is room */
 INLINE void restrict_residual_of_half_eight_(const int R, const int C, int64_t n,
                                              const int64_t* start, const int32_t* columns,
-                                             const float* half, const part* x, const part* b,
+                                             const float* half, const float8* x, const float8* b,
                                              const int64_t* p_start, const int32_t* p_columns,
-                                             const float* p, part* coarse, part* y)
+                                             const float* p, float8* coarse, float8* y)
 {
   for (int64_t i = 0; i < n; i++)
   {
-    multiply_row_eight(0, R, i, n, start, columns, half, half, x, y);
-    part r[R];
+    multiply_row_of_half_eight(R, i, n, start, columns, half, x, y);
+    float8 r[R];
     for (int k = 0; k < R; k++)
-      r[k] = b[PARTS * (i * R + k)] - y[PARTS * (i * R + k)];
+      r[k] = b[i * R + k] - y[i * R + k];
     restrict_node_eight(R, C, p_start[i], p_start[i + 1], p_columns, p, r, coarse);
   }
 }
 int64_t restrict_residual_of_half_eight(
     int64_t R, int64_t C, int64_t n, const int64_t start[n + 1], const int32_t columns[start[n]],
-    const float half[R * R * start[n] + R / 3], int64_t nodes, const double x[8 * R * nodes],
-    const double b[8 * R * n], const int64_t p_start[n + 1], const int32_t p_columns[p_start[n]],
-    const float p[R * C * p_start[n] + 2], int64_t groups, double coarse[8 * C * groups],
-    double y[8 * R * n])
+    const float half[R * R * start[n] + R / 3], int64_t nodes, const float x[8 * R * nodes],
+    const float b[8 * R * n], const int64_t p_start[n + 1], const int32_t p_columns[p_start[n]],
+    const float p[R * C * p_start[n] + 2], int64_t groups, float coarse[8 * C * groups],
+    float y[8 * R * n])
 {
-  memset(y, 0, sizeof(double) * 8 * R * n);
-  for (int h = 0; h < PARTS; h++)
-    DISPATCH(R, C, restrict_residual_of_half_eight_, n, start, columns, half, (const part*)x + h,
-             (const part*)b + h, p_start, p_columns, p, (part*)coarse + h, (part*)y + h);
+  memset(y, 0, sizeof(float) * 8 * R * n);
+  DISPATCH(R, C, restrict_residual_of_half_eight_, n, start, columns, half, (const float8*)x,
+           (const float8*)b, p_start, p_columns, p, (float8*)coarse, (float8*)y);
   return 0;
 }

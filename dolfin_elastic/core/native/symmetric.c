@@ -64,7 +64,69 @@ int64_t rounded_product(int64_t n, const int64_t start[n + 1], const int32_t col
   return 0;
 }
 
-/* The same for eight vectors, side by side. */
+/* --- Eight vectors at once: in place of each number of a vector there are those of eight, side by
+   side, in as many parts as registers need.  Loops take one part of all numbers, from its first
+   on; gcc's vectors of more than a register are slower than single numbers. --- */
+
+#ifdef __AVX512F__
+#define PARTS 1
+#else
+#define PARTS 2
+#endif
+typedef double part __attribute__((vector_size(64 / PARTS), aligned(8)));
+
+/* What row i of A x adds to y. */
+INLINE void multiply_row_eight(const int R, int64_t i, int64_t n,
+                               const int64_t* start, const int32_t* columns, const float* high,
+                               const float* low, const part* x, part* y)
+{
+  part own[R], s[R];
+  for (int r = 0; r < R; r++)
+  {
+    own[r] = x[PARTS * (i * R + r)];
+    s[r] = (part){0.0};
+  }
+  for (int64_t k = start[i]; k < start[i + 1]; k++)
+  {
+    const int64_t j = columns[k];
+    const int turned = j > i && j < n;
+    const float *h = high + k * R * R, *l = low + k * R * R;
+    double a[R * R];
+    int e = 0;
+    for (; e + 4 <= R * R; e += 4)
+      *(double4*)(a + e) = column(1, h + e, l + e);
+    for (; e < R * R; e++)
+      a[e] = (double)h[e] + (double)l[e];
+    for (int c = 0; c < R; c++)
+    {
+      part t = {0.0};
+      for (int r = 0; r < R; r++)
+      {
+        s[r] += a[c * R + r] * x[PARTS * (j * R + c)];
+        t += a[c * R + r] * own[r];
+      }
+      if (turned)
+        y[PARTS * (j * R + c)] += t;
+    }
+  }
+  for (int r = 0; r < R; r++)
+    y[PARTS * (i * R + r)] += s[r];
+}
+
+/* See halves.h. */
+int64_t side_by_side(int64_t count, int64_t n, const double vectors[count * n], double eight[8 * n])
+{
+  PUT_SIDE_BY_SIDE(count, n, vectors, eight);
+  return 0;
+}
+int64_t one_below_the_other(int64_t count, int64_t n, const double eight[8 * n],
+                            double vectors[count * n])
+{
+  PUT_ONE_BELOW_THE_OTHER(count, n, eight, vectors);
+  return 0;
+}
+
+/* y = A x, of eight vectors side by side. */
 int64_t product_eight(int64_t n, const int64_t start[n + 1], const int32_t columns[start[n]],
                       const float high[SQUARE * start[n] + 1],
                       const float low[SQUARE * start[n] + 1], int64_t nodes,
@@ -73,7 +135,7 @@ int64_t product_eight(int64_t n, const int64_t start[n + 1], const int32_t colum
   memset(y, 0, sizeof(double) * 8 * DIM * n);
   for (int h = 0; h < PARTS; h++)
     for (int64_t i = 0; i < n; i++)
-      multiply_row_eight(1, DIM, i, n, start, columns, high, low, (const part*)x + h,
+      multiply_row_eight(DIM, i, n, start, columns, high, low, (const part*)x + h,
                          (part*)y + h);
   return 0;
 }

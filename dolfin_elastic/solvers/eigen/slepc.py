@@ -373,7 +373,7 @@ class Pencil(ABC):
         while (wanted := min(search.count, search.room) - len(pairs)) > 0:
             now = min(wanted, BLOCK)
             more = search.spare if now == wanted else SPARE
-            size = min(-(-(now + more) // EIGHT) * EIGHT, search.room - len(pairs))
+            size = min(max(now + more, EIGHT), search.room - len(pairs))
             known = [*search.known, *(pair.vector for pair in pairs)]
             seed = search.seed + len(pairs)
             block = Lobpcg(self.preconditioned(search.shift), size, known=known, seed=seed)

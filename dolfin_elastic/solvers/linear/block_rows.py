@@ -16,6 +16,7 @@ from dolfin_elastic.core.jit import CFunctions, compile_c
 from dolfin_elastic.core.types import AnyArray, FloatArray, IndexArray, IntArray, SingleArray
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.solvers.assembly.symmetric.blocks import SymmetricBlocks, in_full
+from dolfin_elastic.solvers.assembly.symmetric.several import Vectors
 from dolfin_elastic.solvers.petsc.c_api import parts_of_aij
 from dolfin_elastic.solvers.petsc.halo import Halo
 
@@ -47,7 +48,7 @@ class Interpolation:
         self.halo.destroy()
 
 
-def of_width(name: str, b: FloatArray) -> str:
+def of_width(name: str, b: Vectors) -> str:
     """The loop for one vector, shape (nodes, R), or for several, shape (nodes, R, `EIGHT`)."""
     return name if b.ndim == 2 else f"{name}_eight"
 

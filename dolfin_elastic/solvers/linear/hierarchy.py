@@ -20,7 +20,7 @@ from dolfin_elastic.core.types import FloatArray, IndexArray
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.solvers.assembly.node_blocks import NodeBlocks
 from dolfin_elastic.solvers.assembly.symmetric.blocks import SymmetricBlocks, halves
-from dolfin_elastic.solvers.assembly.symmetric.several import EIGHT, by_eights
+from dolfin_elastic.solvers.assembly.symmetric.several import EIGHT, Vectors, by_eights
 from dolfin_elastic.solvers.linear.aggregation import galerkin, smoothed_interpolation
 from dolfin_elastic.solvers.linear.block_rows import (
     BlockRows,
@@ -69,9 +69,9 @@ class Level:
         self.smoother, self._loops, self._coarse = smoother, loops, P.halo
         self._P = (P.start, P.columns, with_room(P.blocks))
         R, n = smoother.sizes
-        self._sizes, self._rooms = (R, P.C, n), dict[tuple[int, ...], FloatArray]()
+        self._sizes, self._rooms = (R, P.C, n), dict[tuple[int, ...], Vectors]()
 
-    def descend(self, b: FloatArray) -> FloatArray:
+    def descend(self, b: Vectors) -> Vectors:
         """Smooths from zero and restricts the residual. Collective.
 
         Args:
@@ -87,15 +87,15 @@ class Level:
         self._coarse.collect(c)
         return c[: self._coarse.owned]
 
-    def _room(self, b: FloatArray) -> FloatArray:
+    def _room(self, b: Vectors) -> Vectors:
         """Coarse nodes for as many right-hand sides, with room that the loops may read."""
         if (width := b.shape[2:]) not in self._rooms:
             shape = (self._coarse.size, self._sizes[1], *width)
-            values = np.zeros(int(np.prod(shape)) + 2)
+            values = np.zeros(int(np.prod(shape)) + 2, dtype=b.dtype)
             self._rooms[width] = values[:-2].reshape(shape)
         return self._rooms[width]
 
-    def ascend(self, b: FloatArray, correction: FloatArray) -> FloatArray:
+    def ascend(self, b: Vectors, correction: Vectors) -> Vectors:
         """Adds the coarser level's solution and smooths. Collective.
 
         Args:
@@ -139,12 +139,12 @@ class Inverse:
         own = slice(A.halo.first * A.R, (A.halo.first + A.rows) * A.R)
         self._rows = np.ascontiguousarray(_inverse(matrix)[own])
 
-    def solve(self, b: FloatArray) -> FloatArray:
+    def solve(self, b: Vectors) -> FloatArray:
         """Solves for owned nodes. Collective."""
         width = int(np.prod(b.shape[2:]))
-        whole = np.empty((sum(self._counts), width))
+        whole = np.empty((sum(self._counts), width), dtype=b.dtype)
         self._comm.Allgatherv(b, (whole, [count * width for count in self._counts]))
-        return np.asarray(self._rows @ whole).reshape(b.shape)
+        return np.asarray(self._rows @ whole, dtype=np.float64).reshape(b.shape)
 
     def destroy(self) -> None:
         """Frees PETSc's objects. Collective."""
@@ -174,7 +174,7 @@ class Rest:
         self._ksp.setOperators(self._matrix)
         near.destroy()
 
-    def solve(self, b: FloatArray) -> FloatArray:
+    def solve(self, b: Vectors) -> FloatArray:
         """Solves for owned nodes, roughly. Collective.
 
         Where GAMG cannot be set up, as for a singular matrix, the result is no number: the solver
@@ -286,7 +286,7 @@ class Hierarchy:
         else:
             self._levels.append(level())
 
-    def cycle(self, b: FloatArray, k: int = 0) -> FloatArray:
+    def cycle(self, b: Vectors, k: int = 0) -> Vectors:
         """One V cycle. Collective.
 
         Args:
@@ -294,7 +294,9 @@ class Hierarchy:
             k: Level; 0 is the finest.
         """
         if k == len(self._levels):
-            return self._last.solve(b)
+            x = b.copy()
+            x[:] = self._last.solve(b)
+            return x
         level = self._levels[k]
         return level.ascend(b, self.cycle(level.descend(b), k + 1))
 
@@ -399,7 +401,7 @@ class Multigrid:
         hierarchy, dim = self._hierarchy, self._problem.body.dim
         assert hierarchy is not None
         hierarchy.renew()
-        b = np.empty((vectors.shape[1] // dim, dim, EIGHT))
+        b = np.empty((vectors.shape[1] // dim, dim, EIGHT), dtype=np.float32)
         by_eights(vectors, vectors, b, lambda: hierarchy.cycle(b), self._loops)
 
     def view(self, pc: PETSc.PC, viewer: PETSc.Viewer) -> None:

@@ -10,6 +10,7 @@ import numpy as np
 from dolfin_elastic.core.jit import CFunctions
 from dolfin_elastic.core.parallel import total
 from dolfin_elastic.core.types import AnyArray, FloatArray, IndexArray, IntArray, SingleArray
+from dolfin_elastic.solvers.assembly.symmetric.several import Vectors
 from dolfin_elastic.solvers.linear.block_rows import (
     BlockRows,
     HalfRows,
@@ -149,9 +150,9 @@ class Smoother:
     ) -> None:
         self._loops, self.halo, self.sizes = loops, A.halo, (A.R, A.rows)
         self._means = means
-        self.x: FloatArray = np.empty((0, A.R))
-        self._y: FloatArray = self.x
-        self._made: dict[tuple[int, ...], tuple[FloatArray, FloatArray]] = {}
+        self.x: Vectors = np.empty((0, A.R))
+        self._y: Vectors = self.x
+        self._made: dict[tuple[int, ...], tuple[Vectors, Vectors]] = {}
         self._scale(diagonal or diagonal_of(A, loops, means=means))
         self._take(A)
 
@@ -166,18 +167,19 @@ class Smoother:
     def _rows(self) -> Arrays:
         return self._matrix
 
-    def from_zero(self, b: FloatArray) -> None:
+    def from_zero(self, b: Vectors) -> None:
         """The first iterate, from zero. Collective."""
         if (width := b.shape[2:]) not in self._made:  # not before: making levels needs room
             R, n = self.sizes
-            self._made[width] = np.zeros((self.halo.size, R, *width)), np.zeros((n, R, *width))
+            shapes = ((count, R, *width) for count in (self.halo.size, n))
+            self._made[width] = np.zeros(next(shapes), b.dtype), np.zeros(next(shapes), b.dtype)
         self.x, self._y = self._made[width]
         self._call("smooth_first", b, *self.sizes, self._scaled, b, self.x)
         if self._means is not None:
             self._means.correct(self.x[: self.sizes[1]])
         self.halo.fill(self.x)
 
-    def restrict(self, b: FloatArray, P: Arrays, coarse: FloatArray) -> None:
+    def restrict(self, b: Vectors, P: Arrays, coarse: Vectors) -> None:
         """Adds P^T (b - A x). Local.
 
         Args:
@@ -186,15 +188,13 @@ class Smoother:
         """
         self._restrict("restrict_residual", b, P, coarse)
 
-    def _restrict(
-        self, loop: str, b: FloatArray, P: Arrays, coarse: FloatArray, *room: FloatArray
-    ) -> None:
+    def _restrict(self, loop: str, b: Vectors, P: Arrays, coarse: Vectors, *room: Vectors) -> None:
         (R, n), C = self.sizes, coarse.shape[1]
         matrix = (*self._rows(), len(self.x), self.x, b)
         out = (len(coarse), with_room(coarse))
         self._call(loop, b, R, C, n, *matrix, *P, *out, *room)
 
-    def once_more(self, b: FloatArray) -> FloatArray:
+    def once_more(self, b: Vectors) -> Vectors:
         """The next iterate, of owned nodes; valid until the next call. Collective."""
         self.halo.fill(self.x)
         self._smooth(b)
@@ -202,14 +202,14 @@ class Smoother:
             self._means.correct(self._y, self.x[: self.sizes[1]])
         return self._y
 
-    def _smooth(self, b: FloatArray) -> None:
+    def _smooth(self, b: Vectors) -> None:
         self._improve("smooth", b)
 
-    def _improve(self, loop: str, b: FloatArray) -> None:
+    def _improve(self, loop: str, b: Vectors) -> None:
         x = (len(self.x), self.x)
         self._call(loop, b, *self.sizes, *self._rows(), self._scaled, *x, b, self._y)
 
-    def _call(self, name: str, b: FloatArray, *arguments: int | AnyArray) -> None:
+    def _call(self, name: str, b: Vectors, *arguments: int | AnyArray) -> None:
         self._loops.call(of_width(name, b), *arguments)
 
     def renew(self) -> None:
@@ -227,11 +227,11 @@ class HalvedSmoother(Smoother):
         assert isinstance(A, HalfRows)
         self._matrix = A.rounded()
 
-    def restrict(self, b: FloatArray, P: Arrays, coarse: FloatArray) -> None:
+    def restrict(self, b: Vectors, P: Arrays, coarse: Vectors) -> None:
         """See `Smoother.restrict`."""
         self._restrict("restrict_residual_of_half", b, P, coarse, self._y)
 
-    def _smooth(self, b: FloatArray) -> None:
+    def _smooth(self, b: Vectors) -> None:
         self._improve("smooth_of_half", b)
 
 

@@ -34,6 +34,7 @@ from dolfin_elastic.problem.constraints.rows import Rows
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.problem.term import Means
 from dolfin_elastic.solvers.assembly.node_blocks import NodeBlocks
+from dolfin_elastic.solvers.assembly.symmetric.several import Vectors
 from dolfin_elastic.solvers.linear.block_rows import PetscRows
 from dolfin_elastic.solvers.linear.multigrid import VERTEX, ZERO, rows_above
 from dolfin_elastic.solvers.petsc.aij import from_entries
@@ -88,7 +89,7 @@ class SurfaceMeans:
         loops.call("invert_blocks", R, len(self._nodes), self._inverse)
         diagonal[self._nodes] = np.eye(R)
 
-    def correct(self, x: FloatArray, before: FloatArray | None = None) -> None:
+    def correct(self, x: Vectors, before: Vectors | None = None) -> None:
         """Makes of x - before, where T is not one, T D^-1 T^T (x - before). Collective.
 
         Args:

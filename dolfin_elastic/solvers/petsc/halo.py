@@ -69,7 +69,7 @@ class Halo:
             return np.asarray(nodes + self.first, dtype=np.int64)
         return np.where(own, nodes + self.first, self.ghosts[np.where(own, 0, nodes - self.owned)])
 
-    def fill(self, values: FloatArray | IntArray) -> None:
+    def fill(self, values: FloatArray | SingleArray | IntArray) -> None:
         """Gets the values of ghosts from their owners. Collective.
 
         Args:
@@ -78,16 +78,19 @@ class Halo:
         if self._sf is not None:
             _bring(self._sf, values[: self.owned], values[self.owned :])
 
-    def collect(self, values: FloatArray) -> None:
+    def collect(self, values: FloatArray | SingleArray) -> None:
         """Adds what stands at ghosts to what stands at their owners. Collective.
 
         Args:
             values: Of all nodes here, first axis.
         """
         if self._sf is not None:
-            unit, arguments = _unit(values), (values[self.owned :], values[: self.owned], MPI.SUM)
+            sums = values.astype(np.float64, copy=False)  # PETSc sums up no others
+            unit, arguments = _unit(sums), (sums[self.owned :], sums[: self.owned], MPI.SUM)
             self._sf.reduceBegin(unit, *arguments)
             self._sf.reduceEnd(unit, *arguments)
+            if sums is not values:
+                values[: self.owned] = sums[: self.owned]
 
     def rows(self, start: IntArray, columns: IntArray, blocks: FloatArray | SingleArray) -> Rows:
         """The rows of ghosts, from their owners. Collective.

@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import TypeAlias
 
 from dolfin_elastic.core.jit import CFunctions
-from dolfin_elastic.core.types import FloatArray
+from dolfin_elastic.core.types import FloatArray, SingleArray
+
+Vectors: TypeAlias = FloatArray | SingleArray
+"""One, in double precision, or `EIGHT` side by side, which may be in single precision."""
 
 EIGHT = 8
 """Vectors of one pass over a matrix: what a vector register holds."""
@@ -14,8 +18,8 @@ EIGHT = 8
 def by_eights(
     vectors: FloatArray,
     images: FloatArray,
-    room: FloatArray,
-    times: Callable[[], FloatArray],
+    room: Vectors,
+    times: Callable[[], Vectors],
     loops: CFunctions,
 ) -> None:
     """Overwrites images by products with vectors, which they may be themselves.
