@@ -61,8 +61,8 @@ def gradient(
 
     NUMBER is strain_energy, displacement_z of a probe, an edge or a point, reaction_x of a support,
     mean, integral or norm:16 of a field on a part: "mean von_mises on fillet", or of [modal]
-    frequency_1.  A largest value
-    has no derivative where it jumps between places; a smooth norm stands for it.
+    frequency_1.  A largest value has no derivative where it jumps between places; a smooth norm
+    stands for it.
     KEY is a key of the case file with dots, numbers of rows in brackets.
     One adjoint solution for each NUMBER gives all its derivatives.  The table, a plot and fields
     for ParaView go to CASE_gradient.
