@@ -118,6 +118,8 @@ LAWS = {
     "case/check/test_check_report.py",
     "case/check/test_degree.py",
     "study/converge/test_converge.py",
+    "study/gradient/test_functionals.py",
+    "study/gradient/test_gradient.py",
     "mesh/test_selection.py",
     "model/materials/test_law_input.py",
     "model/materials/test_laws.py",
