@@ -352,14 +352,16 @@ class Pencil(ABC):
         """
         if halves(self.A) is None or not pairs:
             return list(pairs)
-        tangent, vectors = self._tangent_in_double(), np.array([pair.vector for pair in pairs])
-        of_A, of_B = np.empty_like(vectors), np.empty_like(vectors)
-        multiply(tangent.matrix, vectors, of_A)
-        multiply(self.B, vectors, of_B)
+        tangent, exact = self._tangent_in_double(), list[Pair]()
+        for first in range(0, len(pairs), EIGHT):
+            vectors = np.array([pair.vector for pair in pairs[first : first + EIGHT]])
+            products, image = np.empty((2, len(vectors))), np.empty_like(vectors)
+            for matrix, row in zip((tangent.matrix, self.B), products, strict=True):
+                multiply(matrix, vectors, image)
+                row[:] = np.einsum("ki,ki->k", vectors, image)
+            above, below = total(self._assembler.comm, products)
+            exact += map(Pair, (above / below).tolist(), vectors)
         tangent.destroy()
-        products = np.array([np.einsum("ki,ki->k", vectors, image) for image in (of_A, of_B)])
-        above, below = total(self._assembler.comm, products)
-        exact = map(Pair, (above / below).tolist(), vectors)
         return sorted(exact, key=lambda pair: pair.value)
 
     def destroy(self) -> None:
@@ -473,11 +475,11 @@ class Spectrum(Pencil):
         if self._preconditioned is None or self._preconditioned[0] != shift:
             self._leave()
             blocks, matrix = halves(self.A), self.A
-            if blocks is None:
-                matrix = self.shifted(shift)
-            elif shift != self._added:
+            if blocks is not None and shift != self._added:
                 self.B.getPythonContext().add_to(blocks, self._added - shift)
                 self._added = shift
+            elif blocks is None and shift != 0.0:
+                matrix = self.shifted(shift)
             cycle = Cycle(self.problem, matrix)
             self._preconditioned = shift, Preconditioned(matrix, self.B, cycle)
         return self._preconditioned[1]
@@ -486,6 +488,11 @@ class Spectrum(Pencil):
         """See `Pencil`."""
         self._leave()
         super().to_entries()
+
+    def in_double(self, pairs: Sequence[Pair]) -> list[Pair]:
+        """See `Pencil`; the multigrid makes room for it."""
+        self._leave()
+        return super().in_double(pairs)
 
     def destroy(self) -> None:
         """See `Pencil`; and the multigrid."""
