@@ -113,6 +113,7 @@ if TYPE_CHECKING:
     from dolfin_elastic.solvers.statics.statics import Statics as Statics
     from dolfin_elastic.study.fit.fit import fit as fit
     from dolfin_elastic.study.gradient.gradient import gradient as gradient
+    from dolfin_elastic.study.identify.cells import identify_field as identify_field
     from dolfin_elastic.study.identify.identify import identify as identify
     from dolfin_elastic.study.sweep.sweep import sweep as sweep
 
@@ -190,6 +191,7 @@ _PLACES = {
     "solvers.eigen.modal": ("Modal",),
     "solvers.eigen.buckling": ("Buckling",),
     "study.fit.fit": ("fit",),
+    "study.identify.cells": ("identify_field",),
     "study.identify.identify": ("identify",),
     "notebook.report_view": ("show_report",),
     "results.finished.run": ("FinishedRun",),

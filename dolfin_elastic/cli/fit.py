@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, TypeAlias
 
 import typer
 
-from dolfin_elastic.cli.fit_case import check_of_case, fit_case
+from dolfin_elastic.cli.fit_case import CaseFit, check_of_case
 from dolfin_elastic.core.errors import CaseError, SolveError, nearest
 from dolfin_elastic.core.startup.libraries import start
 
@@ -53,6 +53,20 @@ def fit(
     vary: Annotated[
         Texts, typer.Option("--vary", metavar="KEY", help="Value of the case that is sought.")
     ] = None,
+    field: Annotated[
+        str | None,
+        typer.Option("--field", metavar="KEY", help="Constant that is sought in each element."),
+    ] = None,
+    noise: Annotated[
+        str | None,
+        typer.Option("--noise", metavar="LENGTH", help='Scatter of displacements: "2 um".'),
+    ] = None,
+    smooth: Annotated[
+        float | None, typer.Option("--smooth", metavar="A", help="Weight of jumps of --field.")
+    ] = None,
+    penalty: Annotated[
+        str, typer.Option("--penalty", metavar="KIND", help="tv allows edges, tikhonov none.")
+    ] = "tv",
     unit: Annotated[
         str | None,
         typer.Option("--unit", help="Unit of stresses without one in their heading, else Pa."),
@@ -101,7 +115,8 @@ def fit(
 
     With --measured the whole case is run again and again.  KEY is as `sweep --set` takes it; X and
     Y are results as `sweep --tell` takes them, t is the load parameter or time.  Headings may name
-    them.  A file with columns x, y and ux, uy has displacements at points.
+    them.  A file with columns x, y and ux, uy has displacements at points.  --field finds a
+    constant of a material in each element from such files.
     """
     start()
     from mpi4py import MPI
@@ -120,21 +135,22 @@ def fit(
         "cyclic": cyclic,
     }
     data = {kind: paths for kind, paths in files.items() if paths}
-    if measured or vary or of:
+    if measured or vary or of or field:
         law_only = {**files, "unit": unit, "true": true, "fix": fix, "material": only}
         check_of_case([name for name, given in law_only.items() if given], measured or [])
-        fit_case(
+        begun = CaseFit(
             law,
             measured or [],
-            vary or [],
-            of=of or [],
-            bounds=_pairs("--bounds", bounds),
-            weights=_weights(weight),
-            starts=starts or 1,
-            steps=steps,
-            output=output,
-            json=json,
+            _pairs("--bounds", bounds),
+            _weights(weight),
+            steps,
+            output,
+            json,
         )
+        if field is not None:
+            begun.find_field(field, vary or [], noise=noise, smooth=smooth, penalty=penalty)
+        else:
+            begun.find_values(vary or [], of or [], starts or 1)
         return
     folder = output if output is not None else Path(f"{law.stem}_fitted")
 

@@ -2,66 +2,143 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from dolfin_elastic.core.errors import CaseError, SolveError, check_kept
+from dolfin_elastic.core.errors import CaseError, SolveError, UnitError, check_kept
 
 if TYPE_CHECKING:
+    from dolfin_elastic.case.case import Case
+    from dolfin_elastic.study.identify.cells import FieldFound
     from dolfin_elastic.study.identify.identify import Identified
 
 
-def fit_case(
-    file: Path,
-    measured: Sequence[Path],
-    vary: Sequence[str],
-    *,
-    of: Sequence[str],
-    bounds: Mapping[str, object],
-    weights: Mapping[str, float],
-    starts: int,
-    steps: int,
-    output: Path | None,
-    json: bool,
-) -> None:
-    """Fits values of a case, prints and writes them. Collective.
+@dataclass(frozen=True)
+class CaseFit:
+    """What both kinds of fits of a case are given.
 
-    Args:
+    Attributes:
         file: The case file.
-        starts: And the others, see `identify`.
-
-    Raises:
-        InputError: Something that was given is wrong.
-        SolveError: The search has not ended.
+        measured: Files of what was measured.
+        bounds: Key to "LOW:HIGH".
+        weights: Name of a file to its weight.
+        steps: Largest number of steps.
+        output: Folder of the results; None: by the name of the case.
+        json: Print JSON.
     """
-    from dolfin_elastic.case.check.rest import read_case
-    from dolfin_elastic.cli.run import begin
-    from dolfin_elastic.core.parallel import on_root
-    from dolfin_elastic.study.identify.identify import identify
-    from dolfin_elastic.study.identify.written import default_folder
 
-    comm = begin(quiet=True)
-    case = read_case(file, comm=comm)
-    folder = output if output is not None else default_folder(case)
-    check_kept(folder, "--output")
-    visible = comm.rank == 0 and not json
-    found = identify(
-        case,
-        [*measured],
-        vary,
-        of=of,
-        bounds=bounds,
-        weights=weights,
-        starts=starts,
-        evaluations=steps,
-        comm=comm,
-        told=_line if visible else lambda _: None,
-    )
-    on_root(comm, lambda: _show(found, folder, json))
-    if not found.ended:
+    file: Path
+    measured: Sequence[Path]
+    bounds: Mapping[str, str]
+    weights: Mapping[str, float]
+    steps: int
+    output: Path | None
+    json: bool
+
+    def _begun(self) -> tuple[Case, Path, Callable[[str], None]]:
+        """The case, the folder of the results, and what takes lines on the way. Collective."""
+        from dolfin_elastic.case.check.rest import read_case
+        from dolfin_elastic.cli.run import begin
+        from dolfin_elastic.study.identify.written import default_folder
+
+        comm = begin(quiet=True)
+        case = read_case(self.file, comm=comm)
+        folder = self.output if self.output is not None else default_folder(case)
+        check_kept(folder, "--output")
+        visible = comm.rank == 0 and not self.json
+        return case, folder, _line if visible else lambda _: None
+
+    def find_values(self, vary: Sequence[str], of: Sequence[str], starts: int) -> None:
+        """Fits values of the case, prints and writes them. Collective.
+
+        Args:
+            vary: And the others, see `identify`.
+
+        Raises:
+            InputError: Something that was given is wrong.
+            SolveError: The search has not ended.
+        """
+        from mpi4py import MPI
+
+        from dolfin_elastic.core.parallel import on_root
+        from dolfin_elastic.study.identify.identify import identify
+
+        case, folder, told = self._begun()
+        found = identify(
+            case,
+            [*self.measured],
+            vary,
+            of=of,
+            bounds=self.bounds,
+            weights=self.weights,
+            starts=starts,
+            evaluations=self.steps,
+            told=told,
+        )
+        on_root(MPI.COMM_WORLD, lambda: _show(found, folder, self.json))
+        _check_ended(found.ended, found.why)
+
+    def find_field(
+        self,
+        key: str,
+        vary: Sequence[str],
+        *,
+        noise: str | None,
+        smooth: float | None,
+        penalty: str,
+    ) -> None:
+        """Finds a constant in each element, prints and writes it. Collective.
+
+        Args:
+            key: And the others, see `identify_field`.
+
+        Raises:
+            InputError: Something that was given is wrong.
+            SolveError: The search has not ended.
+        """
+        from mpi4py import MPI
+
+        from dolfin_elastic.core.parallel import on_root
+        from dolfin_elastic.core.units import to_si
+        from dolfin_elastic.study.identify.cells import identify_field
+        from dolfin_elastic.study.identify.unknowns import read_unknowns
+        from dolfin_elastic.study.identify.written_field import write_field
+
+        if vary:
+            raise CaseError(
+                "a field is sought alone", where="--vary", expected="one of --vary and --field"
+            )
+        case, folder, told = self._begun()
+        row = read_unknowns(case, [key], self.bounds)[0]
+        limits = row.constant.low * row.size, row.constant.high * row.size
+        try:
+            scatter = None if noise is None else to_si(noise, "m")
+        except UnitError as error:
+            raise CaseError(error.what, where="--noise", expected=error.expected) from None
+        found = identify_field(
+            case,
+            [*self.measured],
+            key,
+            noise=scatter,
+            weight=smooth,
+            penalty=penalty,
+            bounds=limits,
+            weights=self.weights,
+            iterations=self.steps,
+            told=told,
+        )
+        names = write_field(found, folder)
+        text = _field_text(found)
+        on_root(MPI.COMM_WORLD, lambda: _show_field(found, text, folder, names, self.json))
+        _check_ended(found.ended, found.why)
+
+
+def _check_ended(ended: bool, why: str) -> None:
+    if not ended:
         raise SolveError(
-            f"the fit has not ended: {found.why}; the best so far is written",
+            f"the fit has not ended: {why}; the best so far is written",
             advice="more --steps or --starts, --bounds, or fewer keys after --vary",
         )
 
@@ -132,6 +209,53 @@ def _tables(found: Identified) -> None:
         count = str(one.computed.size)
         table.add_row(one.measured.label, count, error_text(one), percent(one.relative))
     console().print(table)
+
+
+def _field_text(found: FieldFound) -> dict[str, object]:
+    """A field as plain values, for scripts. Collective."""
+    import numpy as np
+
+    from dolfin_elastic.core.parallel import largest, smallest
+
+    inside, comm = found.values[found.chosen], found.problem.body.comm
+    return {
+        "ended": found.ended,
+        "why": found.why,
+        "runs": found.runs,
+        "key": found.key,
+        "unit": found.unit,
+        "smallest": smallest(comm, float(inside.min(initial=np.inf))),
+        "largest": largest(comm, float(inside.max(initial=-np.inf))),
+        "weight": found.weight,
+        "penalty": {"kind": found.penalty[0], "value": found.penalty[1]},
+        "rms": found.rms,
+        "notes": list(found.notes),
+    }
+
+
+def _show_field(
+    found: FieldFound,
+    text: Mapping[str, object],
+    folder: Path,
+    names: Sequence[str],
+    json: bool,
+) -> None:
+    """Prints a field that was found. Not collective."""
+    from dolfin_elastic.cli.console import console
+    from dolfin_elastic.cli.console_materials import as_json
+    from dolfin_elastic.core.si_text import quantity
+
+    if json:
+        print(as_json(text))
+        return
+    screen = console()
+    low, high = (quantity(float(str(text[end])), found.unit) for end in ("smallest", "largest"))
+    screen.print(f"{found.key}: {low} to {high}, {found.why}", highlight=False)
+    rms = quantity(found.rms, "m")
+    screen.print(f"r.m.s. error {rms}, weight {found.weight:.2g} of the jumps", highlight=False)
+    for line in found.notes:
+        screen.tell(line)
+    screen.print(f"written: {folder}: {', '.join(names)}")
 
 
 def _plain(found: Identified) -> dict[str, object]:

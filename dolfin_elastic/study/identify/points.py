@@ -2,16 +2,24 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from dolfinx import fem
+from mpi4py import MPI
 
+from dolfin_elastic.core.errors import CaseError
 from dolfin_elastic.core.parallel import total
+from dolfin_elastic.core.si_text import counted
 from dolfin_elastic.core.types import BoolArray, FloatArray, IndexArray, IntArray
+from dolfin_elastic.core.units import coordinates
 from dolfin_elastic.mesh.body import Body
 from dolfin_elastic.mesh.geometry.locate import OUTSIDE_TOLERANCE, in_reference_cells
+from dolfin_elastic.study.identify.measured import MeasuredField
 
 _AT_ONCE = 1 << 22
 """Pairs of a point and a cell that are compared at once."""
+_MOST_NAMED = 3
 
 
 class LocatedPoints:
@@ -40,12 +48,74 @@ class LocatedPoints:
         """At all points [m], 0 outside, shape (n, dim), the same on every rank. Collective."""
         V = u.function_space
         dim = V.dofmap.index_map_bs
-        result = np.zeros((self._count, dim))
-        if len(self.mine):
-            shapes = V.element.basix_element.tabulate(0, self.local)[0, :, :, 0]
-            nodes = u.x.array.reshape(-1, dim)[V.dofmap.list[self.cells]]
-            result[self.mine] = np.einsum("pn,pnj->pj", shapes, nodes)
+        result, (nodes, shapes) = np.zeros((self._count, dim)), self.shapes(V)
+        values = u.x.array.reshape(-1, dim)[nodes]
+        result[self.mine] = np.einsum("pn,pnj->pj", shapes, values)
         return np.asarray(total(V.mesh.comm, result))
+
+    def of_cells(self, values: FloatArray, comm: MPI.Comm) -> FloatArray:
+        """What a field of owned cells has at all points, shape (n,). Collective."""
+        result = np.zeros(self._count)
+        result[self.mine] = values[self.cells]
+        return np.asarray(total(comm, result))
+
+    def shapes(self, V: fem.FunctionSpace) -> tuple[IndexArray, FloatArray]:
+        """Local nodes around the points of this rank, and their shape functions there. Local.
+
+        Returns:
+            Shapes (m, nodes of a cell).
+        """
+        nodes: IndexArray = V.dofmap.list[self.cells]
+        if not len(self.mine):
+            return nodes, np.zeros(nodes.shape)
+        table = V.element.basix_element.tabulate(0, self.local)[0, :, :, 0]
+        return nodes, np.asarray(table, dtype=np.float64)
+
+
+def located_field(body: Body, one: MeasuredField) -> tuple[MeasuredField, LocatedPoints, str]:
+    """The points of a field that are in a body. Collective.
+
+    Returns:
+        The field with these in metres, where they are, and a sentence about those that are left
+        out; empty: none are.
+
+    Raises:
+        InputError: They have other coordinates than the body, or most of them are outside.
+    """
+    dim = body.dim
+    if one.points.shape[1] != dim or max(one.components) >= dim:
+        raise CaseError(
+            f"its points have {counted(one.points.shape[1], 'coordinate')}, the body has {dim}",
+            where=one.source or one.label,
+            expected=f"columns {', '.join('xyz'[:dim])}",
+        )
+    points = one.points * (body.unit.metres if one.in_mesh_unit else 1.0)
+    located, note = LocatedPoints(body, points), ""
+    if not located.inside.all():
+        note = _outside(body, one, points, np.flatnonzero(~located.inside))
+        one, points = one.only(np.flatnonzero(located.inside)), points[located.inside]
+        located = LocatedPoints(body, points)
+    return replace(one, points=points, in_mesh_unit=False), located, note
+
+
+def _outside(body: Body, one: MeasuredField, points: FloatArray, lost: IntArray) -> str:
+    """A sentence about points that are left out."""
+    unit = body.unit
+    named = [
+        f"line {one.lines[i]} {coordinates(points[i] / unit.metres)} {unit.name}"
+        for i in lost[:_MOST_NAMED]
+    ]
+    more = f" and {len(lost) - _MOST_NAMED} more" if len(lost) > _MOST_NAMED else ""
+    what = f"outside of the body: {', '.join(named)}{more}"
+    where = one.source or one.label
+    if 2 * len(lost) > len(points):
+        raise CaseError(
+            f"most points ({len(lost)} of {len(points)}) are {what}",
+            where=where,
+            expected=f"places in the undeformed body; bare numbers are in {unit.name}, "
+            'others have a unit, "x [mm]"',
+        )
+    return f"{where}: {len(lost)} of {counted(len(points), 'point')} left out, {what}"
 
 
 def _in_own_cells(body: Body, points: FloatArray) -> tuple[IndexArray, FloatArray, FloatArray]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import closing
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 from mpi4py import MPI
@@ -13,13 +13,11 @@ from dolfin_elastic.case.case import Case, locate_errors
 from dolfin_elastic.case.check.rest import read_body
 from dolfin_elastic.core.errors import CaseError, InputError, SolveError
 from dolfin_elastic.core.petsc_options import PetscOptions
-from dolfin_elastic.core.si_text import counted
 from dolfin_elastic.core.types import FloatArray, IntArray
-from dolfin_elastic.core.units import coordinates
 from dolfin_elastic.problem.state import State
 from dolfin_elastic.solvers.statics.settings import Seconds, StaticsSettings
 from dolfin_elastic.study.identify.measured import Measured, MeasuredCurve, MeasuredField
-from dolfin_elastic.study.identify.points import LocatedPoints
+from dolfin_elastic.study.identify.points import LocatedPoints, located_field
 from dolfin_elastic.study.identify.unknowns import Unknown
 from dolfin_elastic.study.wanted import Wanted, WantedNumber
 
@@ -35,7 +33,6 @@ _EQUAL = 1e-9
 """Load parameters, over the end, that are one; changes of a number that are none."""
 _REACH = 1e-6
 """Of the range of a curve by which its points may be beyond the run."""
-_MOST_NAMED = 3
 
 
 @dataclass
@@ -115,7 +112,10 @@ class Runs:
         self.count, self.sets, self._points = 0, list[Measured](), list[LocatedPoints]()
         for one in sets:
             if isinstance(one, MeasuredField):
-                self.sets.append(self._inside(one))
+                inside, points, note = located_field(self._body, one)
+                self.sets.append(inside)
+                self._points.append(points)
+                self.outside += [note] if note else []
             else:
                 self.sets.append(one)
         self._curves = [one for one in self.sets if isinstance(one, MeasuredCurve)]
@@ -139,46 +139,6 @@ class Runs:
                 expected="a case with [statics] or [dynamics]",
             )
         return found[0]
-
-    def _inside(self, one: MeasuredField) -> MeasuredField:
-        """The points of a field that are in the body, which are located."""
-        dim = self._body.dim
-        if one.points.shape[1] != dim or max(one.components) >= dim:
-            have = one.points.shape[1]
-            raise CaseError(
-                f"its points have {counted(have, 'coordinate')}, the body has {dim}",
-                where=one.source or one.label,
-                expected=f"columns {', '.join('xyz'[:dim])}",
-            )
-        metres = self._body.unit.metres
-        points = one.points * (metres if one.in_mesh_unit else 1.0)
-        located = LocatedPoints(self._body, points)
-        lost = np.flatnonzero(~located.inside)
-        if len(lost):
-            self._tell_outside(one, points, lost)
-            one, points = one.only(np.flatnonzero(located.inside)), points[located.inside]
-            located = LocatedPoints(self._body, points)
-        self._points.append(located)
-        return replace(one, points=points, in_mesh_unit=False)
-
-    def _tell_outside(self, one: MeasuredField, points: FloatArray, lost: IntArray) -> None:
-        unit = self._body.unit
-        named = [
-            f"line {one.lines[i]} {coordinates(points[i] / unit.metres)} {unit.name}"
-            for i in lost[:_MOST_NAMED]
-        ]
-        more = f" and {len(lost) - _MOST_NAMED} more" if len(lost) > _MOST_NAMED else ""
-        what = f"outside of the body: {', '.join(named)}{more}"
-        where = one.source or one.label
-        if 2 * len(lost) > len(points):
-            raise CaseError(
-                f"most points ({len(lost)} of {len(points)}) are {what}",
-                where=where,
-                expected=f"places in the undeformed body; bare numbers are in {unit.name}, "
-                'others have a unit, "x [mm]"',
-            )
-        whole = counted(len(points), "point")
-        self.outside.append(f"{where}: {len(lost)} of {whole} left out, {what}")
 
     # --- one run ---
 

@@ -30,10 +30,12 @@ class Unknown:
     Attributes:
         constant: Its key as the name, and its range, in the unit in which the case has it.
         unit: That unit as it was written; empty: a bare number.
+        size: One of it in SI units.
     """
 
     constant: Constant
     unit: str
+    size: float = 1.0
 
     @property
     def key(self) -> str:
@@ -97,14 +99,14 @@ def _unknown(case: Case, key: str, limits: object) -> Unknown:
     start, unit = read
     one = 1.0 if not unit else to_base(f"1 {unit}")
     row = Constant(key, unit, start, -math.inf, math.inf, scale=abs(start) or 1.0)
-    if (own := _of_law(case, key)) is not None:
+    if (own := constant_at(case, key)) is not None:
         low, high = own.low / one, own.high / one
         row = replace(row, unit=unit or own.unit, low=low, high=high)
-    return Unknown(row if limits is None else _bounded(row, unit, one, limits), unit)
+    return Unknown(row if limits is None else _bounded(row, unit, one, limits), unit, one)
 
 
-def _of_law(case: Case, key: str) -> Constant | None:
-    """The range of a constant of a material; None: the key is of something else."""
+def constant_at(case: Case, key: str) -> Constant | None:
+    """Unit and range [SI] of a constant of a material; None: the key is of something else."""
     parts = key_parts(key)
     if parts[0] != "materials" or len(parts) < 3 or parts[1] not in case.materials:
         return None

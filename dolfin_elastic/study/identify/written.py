@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -19,7 +20,7 @@ from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.results.files import drafted, make_folder, replace_text
 from dolfin_elastic.results.finished.curves import literal
 from dolfin_elastic.study.identify.identify import ComparedSet, Identified
-from dolfin_elastic.study.identify.measured import MeasuredCurve
+from dolfin_elastic.study.identify.measured import MeasuredCurve, MeasuredField
 from dolfin_elastic.study.least_squares.fitted import constants_csv
 
 if TYPE_CHECKING:
@@ -62,7 +63,7 @@ def write_identified(found: Identified, folder: Path) -> list[Path]:
     if _curves(found):
         texts["_curves.csv"] = _curve_rows(found)
     if len(_curves(found)) < len(found.sets):
-        texts["_points.csv"] = _point_rows(found)
+        texts["_points.csv"] = point_rows(found.sets, {})
     paths = {end: folder / f"{name}{end}" for end in (*texts, ".png")}
     for end, text in texts.items():
         replace_text(paths[end], text)
@@ -72,8 +73,12 @@ def write_identified(found: Identified, folder: Path) -> list[Path]:
 
 def _case(found: Identified, folder: Path) -> str:
     """The case with its values; paths are relative to the folder."""
-    values = values_text(found)
-    tables = portable(found.case.changed(values))
+    return case_text(found.case, values_text(found), folder)
+
+
+def case_text(case: Case, values: Mapping[str, object], folder: Path) -> str:
+    """A case with other values as a file in a folder. Not collective."""
+    tables = portable(case.changed(values))
     for key, value in values.items():
         with suppress(InputError):  # where the key has another name there, it has SI units
             value_at(tables, key)
@@ -101,21 +106,25 @@ def _curve_rows(found: Identified) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _point_rows(found: Identified) -> str:
-    """Displacement fields as CSV [m]."""
-    lines = ["field,t,x,y,z,component,measured,computed"]
-    fields = [one for one in found.sets if one not in _curves(found)]
-    for number, one in enumerate(fields, start=1):
+def point_rows(sets: Sequence[ComparedSet], further: Mapping[str, Sequence[FloatArray]]) -> str:
+    """Displacement fields as CSV, SI units.
+
+    Args:
+        further: Heading of a column to its numbers at the points of each set.
+    """
+    lines = [",".join(["field,t,x,y,z,component,measured,computed", *further])]
+    fields = [one for one in sets if isinstance(one.measured, MeasuredField)]
+    for number, one in enumerate(fields):
         field = one.measured
-        if isinstance(field, MeasuredCurve):
-            continue
+        assert isinstance(field, MeasuredField)
         for i, point in enumerate(field.points):
             t = f"{field.times[i]:.10g}" if np.isfinite(field.times[i]) else ""
             place = [*(f"{x:.10g}" for x in point), ""][:3]
+            more = [f"{values[number][i]:.10g}" for values in further.values()]
             for c, component in enumerate(field.components):
-                pair = f"{field.values[i, c]:.10g},{one.computed[i, c]:.10g}"
-                begin = f"{number},{t},{','.join(place)}"
-                lines.append(f"{begin},u{_AXES[component]},{pair}")
+                pair = f"{field.values[i, c]:.10g}", f"{one.computed[i, c]:.10g}"
+                row = [str(number + 1), t, *place, f"u{_AXES[component]}", *pair, *more]
+                lines.append(",".join(row))
     return "\n".join(lines) + "\n"
 
 
@@ -137,7 +146,7 @@ def _draw(found: Identified, path: Path) -> None:
         if isinstance(one.measured, MeasuredCurve):
             _curve_panel(axis, one, one.measured)
         else:
-            _field_panel(figure, axis, one)
+            field_panel(figure, axis, one)
         axis.grid(color="#dde1e5")
     for axis in axes[len(found.sets) :]:
         axis.axis("off")
@@ -160,7 +169,7 @@ def _curve_panel(axis: Axes, one: ComparedSet, curve: MeasuredCurve) -> None:
     axis.legend(fontsize=8)
 
 
-def _field_panel(figure: Figure, axis: Axes, one: ComparedSet) -> None:
+def field_panel(figure: Figure, axis: Axes, one: ComparedSet) -> None:
     """How far the displacements are off at the points, seen along z."""
     field = one.measured
     assert not isinstance(field, MeasuredCurve)
