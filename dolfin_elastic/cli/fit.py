@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, TypeAlias
 
 import typer
 
-from dolfin_elastic.cli.fit_case import CaseFit, check_of_case
+from dolfin_elastic.cli.fit_case import CaseFit, check_of_case, interval_text
 from dolfin_elastic.core.errors import CaseError, SolveError, nearest
 from dolfin_elastic.core.startup.libraries import start
 
@@ -272,7 +272,6 @@ def _tables(fit: Fit) -> None:
     from rich.table import Table
 
     from dolfin_elastic.cli.console import console
-    from dolfin_elastic.cli.console_fit import interval_text
     from dolfin_elastic.core.si_text import percent, quantity
 
     table = Table("constant", box=SIMPLE_HEAD, pad_edge=False)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,6 +14,7 @@ if TYPE_CHECKING:
     from dolfin_elastic.case.case import Case
     from dolfin_elastic.study.identify.cells import FieldFound
     from dolfin_elastic.study.identify.identify import Identified
+    from dolfin_elastic.study.least_squares.fitted import FittedConstant
 
 
 @dataclass(frozen=True)
@@ -192,7 +194,6 @@ def _tables(found: Identified) -> None:
     from rich.table import Table
 
     from dolfin_elastic.cli.console import console
-    from dolfin_elastic.cli.console_fit import interval_text
     from dolfin_elastic.core.si_text import percent, quantity
     from dolfin_elastic.study.identify.identify import error_text
 
@@ -209,6 +210,18 @@ def _tables(found: Identified) -> None:
         count = str(one.computed.size)
         table.add_row(one.measured.label, count, error_text(one), percent(one.relative))
     console().print(table)
+
+
+def interval_text(row: FittedConstant) -> str:
+    """The interval of a constant."""
+    from dolfin_elastic.core.si_text import percent, quantity
+
+    if row.bound:
+        return "at its bound"
+    if not math.isfinite(row.half):
+        return "not known"
+    part = percent(row.half / abs(row.value)) if row.value else ""
+    return f"+- {quantity(row.half, row.unit)} ({part})"
 
 
 def _field_text(found: FieldFound) -> dict[str, object]:

@@ -159,6 +159,7 @@ the linear ones, which run on two so that reference cases as such do."""
 SHARED = {
     "study/converge/test_converge.py",
     "study/identify/test_identify.py",
+    "study/identify/test_identify_field.py",
     "study/sweep/test_sweep.py",
     "case/test_node_loads.py",
     "case/test_restart.py",

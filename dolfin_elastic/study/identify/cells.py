@@ -388,7 +388,7 @@ class _Descent:
 
     Args:
         m: Where it starts.
-        first: The run there.
+        first: The run with the field where it starts.
         flat: Slope that is none.
     """
 

@@ -34,6 +34,7 @@ class LocatedPoints:
         mine: Numbers of those whose cell this rank owns, shape (m,).
         cells: Local cells of these, shape (m,).
         local: Their coordinates in the reference cell, shape (m, dim).
+        count: Of all points, n.
     """
 
     def __init__(self, body: Body, points: FloatArray) -> None:
@@ -42,20 +43,20 @@ class LocatedPoints:
         owner = np.argmin(everywhere, axis=0)
         self.inside: BoolArray = everywhere.min(axis=0, initial=np.inf) <= OUTSIDE_TOLERANCE
         self.mine: IntArray = np.flatnonzero(self.inside & (owner == body.comm.rank))
-        self.cells, self.local, self._count = cells[self.mine], local[self.mine], len(points)
+        self.cells, self.local, self.count = cells[self.mine], local[self.mine], len(points)
 
     def displacements(self, u: fem.Function) -> FloatArray:
         """At all points [m], 0 outside, shape (n, dim), the same on every rank. Collective."""
         V = u.function_space
         dim = V.dofmap.index_map_bs
-        result, (nodes, shapes) = np.zeros((self._count, dim)), self.shapes(V)
+        result, (nodes, shapes) = np.zeros((self.count, dim)), self.shapes(V)
         values = u.x.array.reshape(-1, dim)[nodes]
         result[self.mine] = np.einsum("pn,pnj->pj", shapes, values)
         return np.asarray(total(V.mesh.comm, result))
 
     def of_cells(self, values: FloatArray, comm: MPI.Comm) -> FloatArray:
         """What a field of owned cells has at all points, shape (n,). Collective."""
-        result = np.zeros(self._count)
+        result = np.zeros(self.count)
         result[self.mine] = values[self.cells]
         return np.asarray(total(comm, result))
 

@@ -14,10 +14,14 @@ from dolfin_elastic.case.check.rest import read_body
 from dolfin_elastic.core.errors import CaseError, InputError, SolveError
 from dolfin_elastic.core.petsc_options import PetscOptions
 from dolfin_elastic.core.types import FloatArray, IntArray
+from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.problem.state import State
 from dolfin_elastic.solvers.statics.settings import Seconds, StaticsSettings
+from dolfin_elastic.solvers.statics.statics import Statics
+from dolfin_elastic.study.gradient.gradient import places_of_probes
 from dolfin_elastic.study.identify.measured import Measured, MeasuredCurve, MeasuredField
 from dolfin_elastic.study.identify.points import LocatedPoints, located_field
+from dolfin_elastic.study.identify.tangents import Tangents, differentiable
 from dolfin_elastic.study.identify.unknowns import Unknown
 from dolfin_elastic.study.wanted import Wanted, WantedNumber
 
@@ -44,12 +48,19 @@ class Record:
         numbers: Name of a number to its values in these.
         fields: Of each displacement field the displacements in these, each of shape (n, dim).
         failure: Why the run is not to be relied on; empty where nothing is known against it.
+        tangents: Derivatives of all of these by what is sought; None: not asked for, or not known.
     """
 
     t: list[float] = field(default_factory=list)
     numbers: dict[Wanted, list[float]] = field(default_factory=dict)
     fields: list[list[FloatArray]] = field(default_factory=list)
     failure: str = ""
+    tangents: Tangents | None = None
+
+    @property
+    def last(self) -> FloatArray:
+        """The numbers of the last state."""
+        return np.array([values[-1] for values in self.numbers.values()])
 
     def of(self, curve: MeasuredCurve) -> tuple[FloatArray, FloatArray, FloatArray]:
         """The curve of the run: t, x and y in its states, SI units, x growing.
@@ -68,6 +79,23 @@ class Record:
         order = kept[np.argsort(x[kept])]
         _check_reach(curve, x[order])
         return np.array(self.t)[order], x[order], y[order]
+
+    def slopes_of(self, curve: MeasuredCurve) -> FloatArray:
+        """Derivatives of the curve at its points by what is sought, shape (n, k).
+
+        Of Y(x; m) they are dy/dm - dY/dx dx/dm, y and x being those of a state.
+        """
+        t, x, y = self.of(curve)
+        assert self.tangents is not None
+        order = np.searchsorted(self.t, t)
+        columns, every = list(self.numbers), np.array(self.tangents.numbers)[order]
+        by = every[:, columns.index(curve.y.wanted)] * curve.y.factor
+        at = np.clip(curve.at, x[0], x[-1])
+        result = _interpolated(x, by, at)
+        if not curve.x.is_time:
+            moved = _interpolated(x, every[:, columns.index(curve.x.wanted)] * curve.x.factor, at)
+            result = result - _interpolated(x, y, at, slope=True)[:, None] * moved
+        return result
 
     def _growing(self, x: FloatArray) -> IntArray | None:
         """States without those where x has hardly changed; None: it turns round."""
@@ -108,6 +136,7 @@ class Runs:
         part = self._analysis(case)
         self._body = read_body(part, comm)
         self._stops: tuple[float, ...] = ()
+        self._direct = True
         self.outside: list[str] = []
         self.count, self.sets, self._points = 0, list[Measured](), list[LocatedPoints]()
         for one in sets:
@@ -151,12 +180,15 @@ class Runs:
         pairs = zip(self.unknowns, values, strict=True)
         return self.case.changed({one.key: one.written(float(v)) for one, v in pairs})
 
-    def record(self, values: FloatArray, stops: Sequence[float] = ()) -> Record:
+    def record(
+        self, values: FloatArray, stops: Sequence[float] = (), *, slopes: bool = False
+    ) -> Record:
         """One run.
 
         Args:
             values: Of what is sought, shape (k,).
             stops: Load parameters that the run must meet, beside those of the case.
+            slopes: Also derivatives, where they are known without differences.
 
         Raises:
             InputError: The case cannot have these values.
@@ -173,6 +205,8 @@ class Runs:
             probe = case.output.make_probe(problem)
             numbers = {wanted: WantedNumber(wanted, problem) for wanted in self._wanted}
             result = Record(numbers={w: [] for w in numbers}, fields=[[] for _ in self._points])
+            if slopes and isinstance(solver, Statics):
+                result.tangents = solver.observer = self._tangents(case, problem)
             with closing(solver.steps()) as states:
                 for state in states:
                     if isinstance(state, State) and not state.between:
@@ -184,6 +218,18 @@ class Runs:
                             row.append(points.displacements(told.u))
                         result.failure = told.failure
         return result
+
+    def _tangents(self, case: Case, problem: Problem) -> Tangents | None:
+        """Derivatives without differences; None: there are none."""
+        keys, wanted = [one.key for one in self.unknowns], list(self._wanted)
+        if not differentiable(problem, keys):
+            return None
+        places = places_of_probes(case, self._body)
+        try:
+            made = Tangents(case, problem, keys, wanted, self._points, places)
+        except InputError:  # a number has none
+            return None
+        return None if made.smoothed else made
 
     def _settings(self) -> StaticsSettings:
         return self._analysis(self.case).statics or StaticsSettings()
@@ -264,7 +310,7 @@ class Runs:
     def jacobian(
         self, values: FloatArray, sizes: FloatArray, low: FloatArray, high: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """All numbers, and their derivatives by differences of runs.
+        """All numbers, and their derivatives, where they are not known by differences of runs.
 
         A run that fails is tried again nearer; one side is enough.
 
@@ -280,12 +326,35 @@ class Runs:
         Raises:
             SolveError: No run nearby has a solution.
         """
-        base = self.numbers(values)
+        try:
+            record = self.record(values, self._stops, slopes=self._direct)
+        except InputError:  # of a linear solution that was not found, or of the values
+            record = self.record(values, self._stops)
+        base = np.concatenate([part.ravel() for part in self.by_set(record)])
+        known = record.tangents
+        self._direct = known is not None and known.agree(record.last)
+        if self._direct:
+            return base, self._slopes(record)
         slopes = np.empty((len(base), len(values)))
         for i in range(len(values)):
             step = _STEP * max(abs(values[i]), 0.1 * sizes[i])
             slopes[:, i] = self._slope(values, base, i, step, (low[i], high[i]))
         return base, slopes
+
+    def _slopes(self, record: Record) -> FloatArray:
+        """Derivatives without differences, shape (N, k)."""
+        assert record.tangents is not None
+        result, number = list[FloatArray](), 0
+        for one in self.sets:
+            if isinstance(one, MeasuredCurve):
+                result.append(record.slopes_of(one))
+            else:
+                rows = np.array([state[number] for state in record.tangents.fields])
+                rows = rows[:, :, list(one.components)]
+                found = _at_times(np.array(record.t), rows, one.times)
+                result.append(found.reshape(-1, found.shape[-1]))
+                number += 1
+        return np.vstack(result)
 
     def _slope(
         self,
@@ -339,14 +408,19 @@ def _check_reach(curve: MeasuredCurve, x: FloatArray) -> None:
             )
 
 
-def _interpolated(x: FloatArray, y: FloatArray, at: FloatArray) -> FloatArray:
-    """Between states without overshooting, exact at them.
+def _interpolated(
+    x: FloatArray, y: FloatArray, at: FloatArray, *, slope: bool = False
+) -> FloatArray:
+    """Between states without overshooting, exact at them; or its slope there.
+
+    Args:
+        y: In the states, shape (s,) or (s, k).
 
     Source: F. N. Fritsch and R. E. Carlson, SIAM J. Numer. Anal. 17 (1980) 238.
     """
     from scipy.interpolate import PchipInterpolator
 
-    return np.asarray(PchipInterpolator(x, y)(at))
+    return np.asarray(PchipInterpolator(x, y)(at, int(slope)))
 
 
 def _at_times(t: FloatArray, rows: FloatArray, times: FloatArray) -> FloatArray:
@@ -354,11 +428,12 @@ def _at_times(t: FloatArray, rows: FloatArray, times: FloatArray) -> FloatArray:
 
     Args:
         t: Of the states, shape (s,).
-        rows: In all states, shape (s, n, c).
+        rows: In all states, shape (s, n, c) or (s, n, c, k).
         times: Of the points, nan for the end, shape (n,).
     """
     times = np.where(np.isnan(times), t[-1], times)
     after = np.clip(np.searchsorted(t, times), 1, len(t) - 1)
-    part = np.clip((times - t[after - 1]) / (t[after] - t[after - 1]), 0.0, 1.0)[:, None]
+    part = np.clip((times - t[after - 1]) / (t[after] - t[after - 1]), 0.0, 1.0)
+    part = part.reshape(-1, *[1] * (rows.ndim - 2))
     each = np.arange(len(times))
     return np.asarray((1 - part) * rows[after - 1, each] + part * rows[after, each])
