@@ -2,8 +2,8 @@
 
     mpirun -n 2 python3 benchmarks/gradient.py [--cells 9 24] [--nu 0.3] [--degree 2]
 
-A cantilever of neo-Hookean material, 2 x 1 x 1, under a traction at its end.  The adjoint of each of
-three numbers, the derivative by a constant of the material at fixed unknowns, and that by the
+A cantilever of neo-Hookean material, 2 x 1 x 1, under a traction at its end.  The adjoint of each
+of three numbers, the derivative by a constant of the material at fixed unknowns, and that by the
 constant in every cell; medians of three rounds in one state.  A step is the whole solve over its
 iterations.
 """

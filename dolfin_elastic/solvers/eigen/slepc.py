@@ -360,7 +360,8 @@ class Pencil(ABC):
                 multiply(matrix, vectors, image)
                 row[:] = np.einsum("ki,ki->k", vectors, image)
             above, below = total(self._assembler.comm, products)
-            exact += map(Pair, (above / below).tolist(), vectors)
+            quotients = above / below
+            exact += [Pair(float(q), v) for q, v in zip(quotients, vectors, strict=True)]
         tangent.destroy()
         return sorted(exact, key=lambda pair: pair.value)
 
