@@ -13,6 +13,7 @@ from __future__ import annotations
 import re
 from abc import ABC, abstractmethod
 from collections.abc import Collection, Mapping, Sequence
+from functools import cached_property
 
 import numpy as np
 import ufl
@@ -112,9 +113,8 @@ class IntegralFunctional(Functional):
         super().__init__(name, unit, problem)
         self._along = along
         self._power, self._size, self._mean = power, 1.0, problem.constant(0.0)
-        test = ufl.TestFunction(problem.W)
-        forms = [form, ufl.derivative(form, problem.w, test), *([] if size is None else [size])]
-        self._value, self._slope, *sizes = compiled(problem, forms)
+        self._integral = form
+        self._value, *sizes = compiled(problem, [form, *([] if size is None else [size])])
         # The change of a mean is that of the integral of what exceeds it.
         self.form = form if size is None else form - self._mean * size
         self._size = integral(problem, sizes[0]) if sizes else 1.0
@@ -142,6 +142,11 @@ class IntegralFunctional(Functional):
     def by_unknowns(self, assembler: Assembler) -> FloatArray:
         """See `Functional`."""
         return self.factor * assembled(self._slope, self.problem.W)
+
+    @cached_property
+    def _slope(self) -> fem.Form:
+        test = ufl.TestFunction(self.problem.W)
+        return compiled(self.problem, [ufl.derivative(self._integral, self.problem.w, test)])[0]
 
 
 class NodalFunctional(Functional):

@@ -70,9 +70,12 @@ class Gradients:
         probes: Mapping[str, Sequence[float]] | None = None,
     ) -> None:
         _check(problem)
-        self.problem = problem
-        self._functionals = functionals(asked.of, problem, probes or {})
+        self.problem, self._of, self._probes = problem, asked.of, probes or {}
+        self._functionals = self._numbers_of(problem)
         self._by = _By(asked, problem, case)
+
+    def _numbers_of(self, problem: Problem) -> list[Functional]:
+        return functionals(self._of, problem, self._probes)
 
     def at(self, newton: Newton, state: State) -> tuple[Gradient, ...]:
         """At the equilibrium that a solver has just found.
@@ -81,7 +84,7 @@ class Gradients:
             newton: The solver, after the solve.
             state: What it has found; its time counts.
         """
-        here = Equilibrium(newton, self._functionals, state.t)
+        here = Equilibrium(newton, self._numbers_of, self._functionals, state.t)
         adjoint = Adjoint(newton)
         try:
             of_scalars = here.by_scalars()

@@ -10,7 +10,7 @@ Source of the differences: B. Fornberg, Math. Comp. 51 (1988) 699, table 1.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol
 
@@ -35,6 +35,8 @@ STEP = 1e-3
 """Of the differences, relative to the value, or to its distance from what is impossible."""
 WEIGHTS = {-2: 1 / 12, -1: -2 / 3, 1: 2 / 3, 2: -1 / 12}
 """Of the values at so many steps from the present one."""
+_TABLES = ("materials", "support", "load", "tie", "mass", "periodic", "axes")
+"""Of a case, of whose numbers a problem is made on the same mesh."""
 _OPTION = "--by"
 
 
@@ -68,12 +70,20 @@ class Equilibrium:
 
     Args:
         newton: After the solve.
+        numbers_of: Makes the functionals of a problem.
+        functionals: Those of the solver's problem.
         t: Load factor, or time [s].
     """
 
-    def __init__(self, newton: Newton, functionals: Sequence[Functional], t: float) -> None:
+    def __init__(
+        self,
+        newton: Newton,
+        numbers_of: Callable[[Problem], Sequence[Functional]],
+        functionals: Sequence[Functional],
+        t: float,
+    ) -> None:
         self.newton, self.assembler, self.functionals = newton, newton.assembler, functionals
-        self.problem, self.t = newton.assembler.problem, t
+        self.problem, self.t, self._numbers_of = newton.assembler.problem, t, numbers_of
 
     def evaluated(self) -> Sides:
         """All that depends on parameters, as they are now."""
@@ -88,8 +98,8 @@ class Equilibrium:
 
         What it prescribes moves the unknowns.
         """
-        here, bordered = self.problem, self.newton.bordered
-        _take_state(changed, here, self.t)
+        bordered = self.newton.bordered
+        _take_state(changed, self.problem, self.t)
         equations: FloatArray = np.zeros(0)
         if bordered is None:
             dofs = ConstrainedDofs(changed)
@@ -107,14 +117,9 @@ class Equilibrium:
             residual.assemble()
             equations = scalars.residual(residual)
             assembler.destroy()
-        start = here.w.x.array.copy()
-        here.w.x.array[:] = changed.w.x.array
-        here.unknowns.w_to_u()
-        try:
-            return Sides(residual.owned.copy(), equations, self.numbers(residual.owned))
-        finally:
-            here.w.x.array[:] = start
-            here.unknowns.w_to_u()
+        # Growth, thickness and the macroscopic strain are in the numbers, too.
+        numbers = [one.value(residual.owned) for one in self._numbers_of(changed)]
+        return Sides(residual.owned.copy(), equations, np.array(numbers))
 
     def by_scalars(self) -> FloatArray:
         """Derivatives of the functionals by scalar unknowns, shape (functionals, scalars)."""
@@ -290,11 +295,11 @@ def _parameter(key: str, problem: Problem, case: Case | None) -> Parameter:
         raise InputError(
             f"there is no parameter '{key}'", where=_OPTION, expected=nearest(key, known)
         )
-    if key.startswith(("mesh.", "surfaces.", "regions.", "points.", "edges.")):
+    if key.partition(".")[0].partition("[")[0] not in _TABLES:
         raise InputError(
-            f"'{key}' changes the mesh",
+            f"'{key}' is no number of a material, support or load",
             where=_OPTION,
-            expected="`sweep` for the mesh; --offset SURFACE for the shape",
+            expected="`sweep` for the mesh and for settings; --offset SURFACE for the shape",
         )
     if problem.contact_pairs or any(term.bars for term in problem.terms):
         raise InputError(
