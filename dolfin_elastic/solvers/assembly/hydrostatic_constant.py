@@ -21,6 +21,7 @@ R. Lehoucq, SIAM Review 47 (2005) 50 (one pressure fixed, or none: the same solu
 from __future__ import annotations
 
 import logging
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -224,16 +225,17 @@ class HydrostaticConstant:
 
     # --- what solvers ask for ---
 
-    def balanced(self, rows: FloatArray) -> FloatArray:
+    def balanced(
+        self, rows: FloatArray, bodies: Sequence[EnclosedBody] | None = None
+    ) -> FloatArray:
         """Rows of the residual, those of enclosed pressures without their mean. Collective.
 
         Args:
             rows: Owned entries of all unknowns [N].
+            bodies: Of which; None: of all.
         """
-        if not self.bodies:
-            return rows
         rows = rows.copy()
-        for body in self.bodies:
+        for body in self.bodies if bodies is None else bodies:
             rows[body.dofs] -= body.weights * total(self._comm, float(rows[body.dofs].sum()))
         return rows
 
@@ -245,12 +247,18 @@ class HydrostaticConstant:
         """
         w = self._problem.w.x
         free = [body for body in self.bodies if not body.coupled]
-        for body in free:
-            own = float(np.sum(body.weights * w.array[body.dofs]))
-            w.array[body.dofs] -= total(self._comm, own)
         if free:
+            w.array[:] = self.without_mean(w.array, free)
             w.scatter_forward()
         return bool(free)
+
+    def without_mean(self, values: FloatArray, bodies: Sequence[EnclosedBody]) -> FloatArray:
+        """Unknowns without the mean of the pressures of bodies, owned entries first. Collective."""
+        values = values.copy()
+        for body in bodies:
+            own = float(np.sum(body.weights * values[body.dofs]))
+            values[body.dofs] -= total(self._comm, own)
+        return values
 
     def report(self) -> None:
         """Logs which pressures are known up to a constant."""

@@ -93,12 +93,16 @@ class Adjoint:
 
         Args:
             derivative: dQ/dw, owned entries of all unknowns; a unit of Q per m.
-            of_scalars: dQ/ds, an entry for each scalar unknown.
+            of_scalars: dQ/ds at fixed fields, an entry for each scalar unknown.
 
         Raises:
             InputError: The linear solver has not converged.
         """
-        self._iterations = 0
+        self._iterations, level = 0, self._assembler.level
+        if level is not None:  # a change of the mean of an enclosed pressure is taken out again
+            derivative = level.balanced(
+                derivative, [one for one in level.bodies if not one.coupled]
+            )
         fields, bordered = self._inverse(-derivative), self._newton.bordered
         scalars: FloatArray = np.zeros(0)
         if bordered is not None:
@@ -107,11 +111,23 @@ class Adjoint:
             if self._rows is None:
                 self._rows = [self._inverse(row) for row in rows]
             inverses = np.array(self._rows)
-            schur = bordered.corner.T - total(comm, columns @ inverses.T)
-            right = -of_scalars - total(comm, columns @ fields)
+            # What scalars prescribe moves with them, and with it the scalars' equations.
+            moved = np.array([self._prescribed(row) for row in rows])
+            schur = bordered.corner.T - total(comm, columns @ (inverses + moved).T)
+            right = -of_scalars - total(comm, columns @ (fields - self._prescribed(derivative)))
             scalars = np.asarray(np.linalg.solve(schur, right))
             fields = np.asarray(fields - scalars @ inverses)
+        if level is not None:  # the equations of enclosed pressures hold but for their mean
+            fields = level.without_mean(fields, level.bodies)
         return AdjointState(fields, scalars, self._iterations)
+
+    def _prescribed(self, row: FloatArray) -> FloatArray:
+        """K^-T times what a vector has at prescribed entries, whose equations are x - g = 0."""
+        dofs = self._assembler
+        result = dofs.constrained_part(row)
+        if dofs.skewed:
+            result[dofs.skew_dofs] /= dofs.tangent.scale()
+        return result
 
     def _inverse(self, right: FloatArray) -> FloatArray:
         """K^-T times what a vector has at free entries, along which contact holds. Collective.

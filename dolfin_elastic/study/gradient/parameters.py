@@ -122,23 +122,28 @@ class Equilibrium:
         return Sides(residual.owned.copy(), equations, np.array(numbers))
 
     def by_scalars(self) -> FloatArray:
-        """Derivatives of the functionals by scalar unknowns, shape (functionals, scalars)."""
+        """Derivatives of the functionals by scalar unknowns, shape (functionals, scalars).
+
+        At fixed fields, those that scalars prescribe, too: what these do the adjoint knows.
+        """
         residual, bordered = self.assembler.residual, self.newton.bordered
         if bordered is None:
             return np.zeros((len(self.functionals), 0))
-        scalars, columns = bordered.scalars, list[FloatArray]()
-        values = scalars.get()
-        for step in np.diag(scalars.steps):
-            sides = []
-            for sign in (1.0, -1.0):
-                scalars.put(values + sign * step)
-                _move_prescribed(self.assembler)
+        scalars, x = bordered.scalars, self.assembler.create_vector()
+        self.assembler.get(x)
+        values, result = scalars.get(), np.zeros((len(self.functionals), scalars.size))
+        for j in np.flatnonzero(~scalars.prescribing):
+            for k, weight in WEIGHTS.items():
+                changed = values.copy()
+                changed[j] += k * scalars.steps[j]
+                scalars.put(changed)
+                self.assembler.put(x)
                 residual.assemble()
-                sides.append(self.numbers(residual.owned))
-            columns.append((sides[0] - sides[1]) / (2 * step.sum()))
+                result[:, j] += weight / scalars.steps[j] * self.numbers(residual.owned)
         scalars.put(values)
-        _move_prescribed(self.assembler)
-        return np.column_stack(columns)
+        self.assembler.put(x)
+        x.destroy()
+        return result
 
     def numbers(self, forces: FloatArray) -> FloatArray:
         """The functionals at the problem's present unknowns.

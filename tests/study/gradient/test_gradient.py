@@ -253,6 +253,64 @@ def test_other_keys_of_a_case(key: str) -> None:
     np.testing.assert_allclose(told, slopes, rtol=1e-6)
 
 
+SIDES = {"on": ["left", "right", "front", "back"], "displacement": [0, 0, "free"]}
+PLATE = {"on": "top", "kind": "rigid", "rotation": [0, 0, 0]}
+SHEARED = [
+    {"on": "bottom"},
+    {"on": "top", "displacement": ["20 cm", 0, 0]},
+    {"on": ["front", "back"], "displacement": ["free", 0, 0]},
+    {"on": ["left", "right"], "displacement": ["0.2*z*t", 0, 0]},
+]
+TURNED = {
+    "on": "right",
+    "kind": "rigid",
+    "displacement": ["free", "free", "free"],
+    "rotation": [0, 0, "free"],
+    "force": ["1 kN", "2 kN", 0],
+}
+PLATED = [SIDES, {"on": "bottom"}]
+BESIDE: dict[str, tuple[list[Any], float, str]] = {
+    "rigid surface under a force": ([{"on": "left"}, TURNED], 0.3, "support[1].force[1]"),
+    "enclosed": (SHEARED, 0.5, "load[0].value[2]"),
+    "enclosed under a plate": (
+        [*PLATED, {**PLATE, "displacement": [0, 0, "free"], "force": [0, 0, "-10 kN"]}],
+        0.5,
+        "support[2].force[2]",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", BESIDE)
+def test_unknowns_that_prescribe_or_are_prescribed(name: str) -> None:
+    """Motions of rigid surfaces, and pressures that are known up to a constant.
+
+    The differences are of second order, the steps a thousandth.
+    """
+    supports, nu, key = BESIDE[name]
+    case = Case.from_dict(
+        {
+            "mesh": {"box": {"size": [2, 1, 1], "cells": [2, 2, 2]}, "degree": 2},
+            "materials": {"gel": {"law": "neo-hookean", "mu": 3e5, "nu": nu, "density": 1000}},
+            "support": supports,
+            "load": [{"kind": "gravity", "value": [3, 0, -9.81]}],
+            "statics": {"rtol": 1e-12},
+        }
+    )
+    held = "left" if nu < 0.5 else "bottom"
+    of = ["mean pressure on right", f"reaction_z of {held}", "strain_energy"]
+    found = gradient(case, of, [key]).gradients
+    number, unit = found[0].by[0].at, found[0].by[0].unit
+    sides = [
+        np.array([o.value for o in gradient(case.changed({key: text}), of).gradients])
+        for k in (1 + STEP, 1 - STEP)
+        for text in [f"{k * number!r} {unit}".strip()]
+    ]
+    here = np.array([one.value for one in found])
+    told = np.array([one.by[0].at * one.by[0].value for one in found])
+    slopes = (sides[0] - sides[1]) / (2 * STEP)
+    np.testing.assert_allclose(told, slopes, rtol=1e-5, atol=1e-8 * np.abs(here).max())
+
+
 def test_numbers_that_depend_on_loads() -> None:
     """Growth is part of the elastic strain: energy and stress change with it at rest, too."""
     tables = {
