@@ -53,7 +53,7 @@ def measure(n: int, nu: float, degree: int) -> None:
         if state.done < 1.0:
             return
         step = (time.perf_counter() - begin) / state.newton
-        here = Equilibrium(newton, ours, state.t)
+        here = Equilibrium(newton, lambda _: ours, ours, state.t)
         here.evaluated()
         spent["tangent"], adjoint = median(lambda: Adjoint(newton))
         slopes = [one.by_unknowns(here.assembler) for one in ours]

@@ -291,7 +291,8 @@ class _Search:
 
     def _differentiated(self, newton: Newton, state: State) -> _Point:
         misfit = PointMisfit(newton.assembler.problem, self.sets)
-        here, adjoint = Equilibrium(newton, [misfit], state.t), Adjoint(newton)
+        here = Equilibrium(newton, lambda _: [misfit], [misfit], state.t)
+        adjoint = Adjoint(newton)
         try:
             of_scalars = here.by_scalars()[0]
             value = float(here.evaluated().numbers[0])

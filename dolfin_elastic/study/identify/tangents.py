@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -66,7 +67,8 @@ class Tangents:
         self._problem, self._points = problem, points
         self._parameters = parameters(keys, problem, case)
         names = [_name(one, problem, probes) for one in wanted]
-        self._functionals = functionals(names, problem, probes)
+        self._numbers_of = partial(functionals, names, probes=probes)
+        self._functionals = self._numbers_of(problem)
         self.smoothed = any(one.name.startswith("norm:") for one in self._functionals)
         self.numbers, self.fields = list[FloatArray](), list[list[FloatArray]]()
         self._values = list[FloatArray]()
@@ -77,7 +79,8 @@ class Tangents:
             self._values.append(np.zeros(len(self._functionals)))
             self._add([np.zeros(len(self._functionals))] * len(self._parameters), None)
             return
-        here, adjoint = Equilibrium(newton, self._functionals, state.t), Adjoint(newton)
+        here = Equilibrium(newton, self._numbers_of, self._functionals, state.t)
+        adjoint = Adjoint(newton)
         try:
             sides = [one.derivative(here) for one in self._parameters]
             self._values.append(here.evaluated().numbers)  # with the functionals linearised here
