@@ -89,10 +89,10 @@ def gradient(
     found = gradients_of(read, asked, petsc=options, verify=verify, comm=comm)
     names = write_gradient(found, folder)
     if comm.rank == 0 and not quiet:
-        _show(GradientTable(found.gradients), folder, names)
+        _show(GradientTable(found.gradients), folder, names, verified=verify)
 
 
-def _show(table: GradientTable, folder: Path, names: list[str]) -> None:
+def _show(table: GradientTable, folder: Path, names: list[str], *, verified: bool) -> None:
     """Prints the table, and what was written."""
     from rich.box import SIMPLE_HEAD
     from rich.table import Table
@@ -105,16 +105,15 @@ def _show(table: GradientTable, folder: Path, names: list[str]) -> None:
         screen.tell(f"{one.name} = {quantity(one.value, one.unit)}".translate(TYPED))
         rows = Table(box=SIMPLE_HEAD, pad_edge=False)
         heads = ["by", "at", "derivative", "1 % more"]
-        seen = any(math.isfinite(d.order) for d in one.by)
-        for head in heads + ["order"] * seen:
+        for head in heads + ["order"] * verified:
             rows.add_column(head, justify="left" if head == "by" else "right")
         for d in one.by:
-            rows.add_row(*_cells(one, d), *([_order(d)] if seen else []))
+            rows.add_row(*_cells(one, d), *([_order(d)] if verified else []))
             doubtful |= d.order < _WRONG
         if one.by:
             show_table(screen, rows)
     if doubtful:
-        screen.tell("an order far from 2: that derivative is not to be relied on")
+        screen.tell("an order far from 2 (!): that derivative is not to be relied on")
     show_files(folder, names)
 
 
@@ -136,4 +135,6 @@ def _cells(one: Gradient, d: Derivative) -> list[str]:
 
 
 def _order(d: Derivative) -> str:
-    return f"{d.order:.2f}" if math.isfinite(d.order) else "round-off"
+    if not math.isfinite(d.order):
+        return "round-off"
+    return f"{d.order:.2f}" + " (!)" * (d.order < _WRONG)

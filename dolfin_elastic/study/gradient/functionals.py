@@ -39,7 +39,7 @@ from dolfin_elastic.study.wanted import SAME, Wanted
 NORM = 16
 """Exponent of the norm that stands for a largest value, unless another is given."""
 _COMPONENT = re.compile(r"(displacement|reaction)(?:_([xyz]))?")
-_NORM = re.compile(r"norm:(\d+)\s+(.*)", re.DOTALL)
+_NORM = re.compile(r"norm:([1-9]\d*)\s+(.*)", re.DOTALL)
 _OPTION = "--of"
 
 
@@ -279,6 +279,12 @@ def functionals(
 def _functional(text: str, problem: Problem, probes: Mapping[str, Sequence[float]]) -> Functional:
     text = " ".join(text.split())
     norm = _NORM.fullmatch(text)
+    if norm is None and text.startswith("norm:"):
+        raise InputError(
+            f"'{text}' is no norm",
+            where=_OPTION,
+            expected="a whole number from 1 on, such as norm:16 von_mises on fillet",
+        )
     power = int(norm[1]) if norm else NORM
     wanted = Wanted.read(norm[2] if norm else text, _OPTION)
     if SAME.get(wanted.name, wanted.name) == "strain_energy" and not wanted.part:
@@ -307,6 +313,12 @@ def _functional(text: str, problem: Problem, probes: Mapping[str, Sequence[float
             raise wanted.unknown("no part and no probe", wanted.part, _known(problem, probes))
         if "surface" not in kinds:
             return NodalFunctional(text, problem, _mean(problem, wanted.part), component)
+    if component is not None and not (wanted.reduction or norm):
+        raise InputError(
+            f"'{text}' has no derivative",
+            where=_OPTION,
+            expected=f"'mean {wanted.name} on {wanted.part or 'NAME'}'",
+        )
     wanted.check(problem.body, (), problem.constraints.labels)
     bare = norm[2] if norm else text
     return _of_field(bare, wanted, problem, kinds, power)
@@ -325,7 +337,11 @@ def _energy(problem: Problem) -> Functional:
 
 def _reaction(text: str, wanted: Wanted, problem: Problem, component: int | None) -> Functional:
     held = problem.constraints.labels
-    if not wanted.part or wanted.part not in held:
+    if not wanted.part:
+        raise InputError(
+            f"'{text}' is of no support", where=_OPTION, expected=f"{text} of {' or '.join(held)}"
+        )
+    if wanted.part not in held:
         raise wanted.unknown("no support that prescribes displacements", wanted.part, held)
     if problem.constraints.combined:
         raise InputError(
@@ -376,7 +392,7 @@ def _of_field(
         raise InputError(
             f"'{text}' has no derivative",
             where=_OPTION,
-            expected="a mean, an integral, or the largest value, which a smooth norm stands for",
+            expected="a mean, an integral or norm:16 of a stress, strain or displacement",
         )
     part, surface = wanted.part or None, "region" not in kinds
     rows = _components(problem, quantity.name)
@@ -385,7 +401,8 @@ def _of_field(
         raise InputError(
             f"'{quantity.name}' has no derivative",
             where=_OPTION,
-            expected="displacement, stresses, strains or the energy density",
+            expected="displacement, von_mises, pressure, energy_density, or a component of a stress "
+            "or strain such as green_strain_xx",
         )
     number, smooth = quantity.component(size), reduction == "max"
     if smooth and number is None and not has_length(quantity.name, FIELDS[quantity.name]):

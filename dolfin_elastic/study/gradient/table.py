@@ -103,7 +103,7 @@ class GradientTable(Tabled):
         }
 
 
-_NOTHING = 1e-9
+_NOTHING = 1e-7
 """Relative derivative below which it is round-off."""
 
 

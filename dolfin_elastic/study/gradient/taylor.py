@@ -10,6 +10,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
+from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.mesh.body import Body, cell_size
 from dolfin_elastic.study.gradient.spatial import OFFSET, nodes_moved
 from dolfin_elastic.study.gradient.table import Derivative, Gradient
@@ -37,7 +38,11 @@ def with_orders(
     orders: list[list[float]] = [[] for _ in gradients]
     for number, derivative in enumerate(gradients[0].by):
         step = STEP * (cell_size(body) if _moves(derivative) else derivative.at or 1.0)
-        sides = [_at(case, body, derivative, share * step, values) for share in (1.0, 0.5)]
+        try:
+            sides = [_at(case, body, derivative, share * step, values) for share in (1.0, 0.5)]
+        except InputError:  # nu = 0.4995 has no larger one: the other side
+            step = -step
+            sides = [_at(case, body, derivative, share * step, values) for share in (1.0, 0.5)]
         for row, one in enumerate(gradients):
             left = [
                 abs(side[row] - one.value - share * step * one.by[number].value)

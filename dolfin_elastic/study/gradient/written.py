@@ -54,10 +54,13 @@ def write_gradient(found: Found, folder: Path) -> list[str]:
         OutputError: Something cannot be written.
     """
     table, comm = GradientTable(found.gradients), found.problem.body.comm
-    names = _field_names(found)
+    names, written = _field_names(found), [TABLE, SUMMARY]
+    written += [PLOT] * _shown(table) + [FIELDS] * bool(names)
 
     def texts() -> None:
         make_folder(folder)
+        for name in {*FILES} - {*written}:  # of an earlier gradient
+            (folder / name).unlink(missing_ok=True)
         replace_text(folder / TABLE, csv_text(table.columns()))
         text = json.dumps(json_data(table.columns()), indent=2, allow_nan=False)
         replace_text(folder / SUMMARY, text + "\n")
@@ -69,7 +72,7 @@ def write_gradient(found: Found, folder: Path) -> list[str]:
         writer = XdmfWriter(found.problem, folder / FIELDS, fields=("displacement", *names))
         writer.write(found.state)
         writer.close()
-    return on_root(comm, lambda: [name for name in FILES if (folder / name).is_file()])
+    return written
 
 
 def _field_names(found: Found) -> list[str]:
