@@ -147,8 +147,11 @@ class Adjoint:
                 self._assembler.comm, np.array([np.sum((x - before) ** 2), np.sum(x**2)])
             )
             if change <= DIGITS**2 * size:
-                break
-        return x
+                return x
+        raise InputError(
+            f"the adjoint was not found: contact has not settled in {_UZAWA} iterations",
+            expected="`sweep`, or a stiffer contact",
+        )
 
     def _resistance(self, x: FloatArray) -> FloatArray:
         """K_c x: change of the forces of contact along a motion, by differences. Collective."""

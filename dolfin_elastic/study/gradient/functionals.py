@@ -137,6 +137,12 @@ class IntegralFunctional(Functional):
     def factor(self) -> float:
         """See `Functional`."""
         mean, p = float(self._mean.value), self._power
+        if p > 1 and mean == 0.0:
+            raise InputError(
+                f"'{self.name}' is 0, where a norm has no derivative",
+                where=_OPTION,
+                expected="the mean of a component, or a part that is loaded",
+            )
         return (mean ** (1 / p - 1) / p if p > 1 else 1.0) / self._size
 
     def by_unknowns(self, assembler: Assembler) -> FloatArray:
@@ -401,8 +407,8 @@ def _of_field(
         raise InputError(
             f"'{quantity.name}' has no derivative",
             where=_OPTION,
-            expected="displacement, von_mises, pressure, energy_density, or a component of a stress "
-            "or strain such as green_strain_xx",
+            expected="displacement, von_mises, pressure, energy_density, or a component of a "
+            "stress or strain such as green_strain_xx",
         )
     number, smooth = quantity.component(size), reduction == "max"
     if smooth and number is None and not has_length(quantity.name, FIELDS[quantity.name]):

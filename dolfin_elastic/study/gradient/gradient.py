@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import logging
+import math
 from collections.abc import Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 from mpi4py import MPI
 
@@ -15,6 +15,7 @@ from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.parallel import total
 from dolfin_elastic.core.petsc_options import PetscOptions
 from dolfin_elastic.core.types import FloatArray
+from dolfin_elastic.mesh.body import Body, cell_size
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.problem.state import Mode, State
 from dolfin_elastic.solvers.assembly.dofs import ConstrainedDofs
@@ -23,13 +24,16 @@ from dolfin_elastic.solvers.nonlinear.newton import Newton
 from dolfin_elastic.solvers.statics.statics import Statics
 from dolfin_elastic.study.gradient.functionals import Functional, functionals
 from dolfin_elastic.study.gradient.modes import AtRest, check_modes, frequencies, is_frequency
-from dolfin_elastic.study.gradient.parameters import Basis, Equilibrium, Sides, parameters
+from dolfin_elastic.study.gradient.parameters import (
+    STEP,
+    Basis,
+    Equilibrium,
+    Sides,
+    parameters,
+)
 from dolfin_elastic.study.gradient.spatial import OFFSET, CellConstant, Shape
 from dolfin_elastic.study.gradient.table import Derivative, Gradient, GradientTable
 from dolfin_elastic.study.gradient.taylor import with_orders
-
-if TYPE_CHECKING:
-    from dolfin_elastic.mesh.body import Body
 
 log = logging.getLogger("dolfin_elastic")
 
@@ -153,14 +157,22 @@ class _By:
             if solution is not None:
                 slope += total(self._comm, float(solution.fields @ side.forces))
                 slope += float(solution.scalars @ side.equations)
-            by.append(Derivative(parameter.key, parameter.value, parameter.unit, slope))
+            if not math.isfinite(slope):
+                raise InputError(
+                    f"the derivative of '{functional.name}' by '{parameter.key}' is not finite",
+                    where="gradient",
+                    expected="another number, or `sweep`",
+                )
+            size = parameter.step / STEP
+            by.append(Derivative(parameter.key, parameter.value, parameter.unit, slope, size))
         cells = {one.key: one.by_logarithm(solution, functional) for one in self._cells or ()}
         nodes = None
         if self._shape is not None:
             slopes = self._shape.by_positions(solution, functional)
             for surface in self._asked.offsets:
                 along = total(self._comm, float(slopes @ self._shape.offset(surface)))
-                by.append(Derivative(f"{OFFSET}{surface}", 0.0, "m", along))
+                size = cell_size(self._shape.problem.body)
+                by.append(Derivative(f"{OFFSET}{surface}", 0.0, "m", along, size))
             nodes = self._shape.at_nodes(slopes)
         iterations = 0 if solution is None else solution.iterations
         return Gradient(

@@ -29,6 +29,8 @@ _NAME = re.compile(r"frequency_([1-9]\d*)")
 _OPTION = "--of"
 _APART = 1e-4
 """Relative distance of two frequencies below which they count as one."""
+_SAME = 1e-6
+"""Relative distance of Rayleigh's quotient from the frequency, whose error is that of the mode."""
 
 
 def is_frequency(name: str) -> bool:
@@ -123,7 +125,14 @@ def frequencies(
                 where=_OPTION,
                 expected="another mode, or a body without that symmetry",
             )
-        result.append(Frequency(name.strip(), problem, np.array(mode.u.x.array)))
+        one = Frequency(name.strip(), problem, np.array(mode.u.x.array))
+        if abs(one.value(np.zeros(0)) - mode.frequency) > _SAME * mode.frequency:
+            raise InputError(
+                "there is no gradient of frequencies with forces that are in no form",
+                where="gradient",
+                expected="`sweep`",
+            )
+        result.append(one)
     return result
 
 
@@ -131,11 +140,13 @@ def check_modes(case: Case, problem: Problem) -> None:
     """Refuses modes whose stiffness depends on more than the case's numbers.
 
     Raises:
-        InputError: They are about a loaded state, or have a pressure or contact.
+        InputError: They are about a loaded state, or have other unknowns or contact.
     """
     preloaded = case.modal is not None and bool(case.modal.preload)
-    if preloaded or problem.mixed or problem.contact_pairs or problem.terms.bars:
-        what = "about a loaded state" if preloaded else "with a pressure as an unknown, or contact"
+    beside = problem.w is not problem.u
+    if preloaded or beside or problem.contact_pairs or problem.terms.bars:
+        what = "with unknowns beside the displacement, or contact"
+        what = "about a loaded state" if preloaded else what
         raise InputError(
             f"there is no gradient of frequencies {what}", where="gradient", expected="`sweep`"
         )

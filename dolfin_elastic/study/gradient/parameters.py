@@ -19,7 +19,8 @@ from dolfinx.fem import Constant
 
 from dolfin_elastic.core.errors import InputError, nearest
 from dolfin_elastic.core.types import FloatArray
-from dolfin_elastic.core.units import number_and_unit
+from dolfin_elastic.core.units import is_quantity, number_and_unit, unit_to_si
+from dolfin_elastic.mesh.body import Body, cell_size
 from dolfin_elastic.model.amplitude import PROPORTIONAL
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.solvers.assembly.assembler import Assembler, Reactions, Residual
@@ -29,7 +30,6 @@ from dolfin_elastic.study.gradient.functionals import Functional
 
 if TYPE_CHECKING:
     from dolfin_elastic.case.case import Case
-    from dolfin_elastic.mesh.body import Body
 
 STEP = 1e-3
 """Of the differences, relative to the value, or to its distance from what is impossible."""
@@ -218,14 +218,17 @@ class CaseNumber(Parameter):
     def __init__(self, key: str, case: Case, body: Body) -> None:
         given = case.value_at(key)
         read = number_and_unit(given)
-        if read is None:
+        if read is None or not is_quantity(str(given)):
             raise InputError(
                 f"the case has {given!r} there, which is no number",
                 where=_OPTION,
                 expected="a key with a number, such as load[0].value[2] or materials.steel.E",
             )
         number, unit = read
-        super().__init__(key, number, unit, STEP * (abs(number) or _size_beside(case, key)))
+        size = abs(number) or _size_beside(case, key)
+        if key.startswith("support[") and ".displacement" in key:  # however small the cells are
+            size = cell_size(body) / (unit_to_si(unit, "m") if unit else body.unit.metres)
+        super().__init__(key, number, unit, STEP * size)
         self._case, self._body = case, body
 
     def written(self, value: float) -> object:
@@ -292,10 +295,15 @@ def _parameter(key: str, problem: Problem, case: Case | None) -> Parameter:
             for name in region.constants
             if key == f"materials.{region.name}.{name}"
         )
-        value = float(known[key].value)
+        value, written = float(known[key].value), _written(case, key)
         room = min(value - allowed.low, allowed.high - value) if allowed else np.inf
-        room = room if np.isfinite(room) else abs(value) or 1.0
-        return MaterialConstant(key, known[key], room, _written(case, key))
+        if room == 0.0 or (value == 0.0 and (np.isinf(room) or (written and written[1]))):
+            raise InputError(
+                f"'{key}' is 0 or at the end of its range, where no size of a step is known",
+                where=_OPTION,
+                expected="a value beside it, or `sweep`",
+            )
+        return MaterialConstant(key, known[key], room, written)
     if case is None:
         raise InputError(
             f"there is no parameter '{key}'", where=_OPTION, expected=nearest(key, known)

@@ -15,6 +15,9 @@ from dolfin_elastic.core.ghosts import assembled
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.mesh.body import Body
 from dolfin_elastic.model.loads import BodyForce, Force, Gravity, Pressure, Traction
+from dolfin_elastic.model.materials.spatial import SpatialDirection, SpatialFormula
+from dolfin_elastic.model.supports.displacement import Restraint, Rotation
+from dolfin_elastic.model.supports.rigid_surface import Rigid
 from dolfin_elastic.model.values import PLACE
 from dolfin_elastic.problem.constraints.normals import surface_normals
 from dolfin_elastic.problem.material_regions import MaterialRegion
@@ -131,6 +134,13 @@ def _coefficient(key: str, problem: Problem) -> tuple[MaterialRegion, fem.Consta
     return region, coefficient
 
 
+def _depends_on_place(support: Restraint) -> bool:
+    """Whether it prescribes displacements that differ from node to node."""
+    values = [one for vector in support.time_functions for one in vector]
+    of_place = any(isinstance(one, Formula) and one.names & PLACE for one in values)
+    return of_place or isinstance(support, Rotation | Rigid)
+
+
 _SHAPED = (Traction, Force, Pressure, BodyForce, Gravity)
 """Loads whose dependence on the positions of nodes is known."""
 
@@ -158,6 +168,13 @@ class Shape(_Field):
         ]
         others: list[object] = [one for one in problem.loads if one not in known]
         others += [*problem.terms, *([problem.cell] if problem.cell else [])]
+        others += [one for one in problem.supports if _depends_on_place(one)]
+        others += [
+            f"{region.name}.{name}"
+            for region in problem.regions
+            for name, value in region.given.spatial_constants().items()
+            if isinstance(value, SpatialFormula | SpatialDirection)
+        ]
         if others or problem.constraints.combined or problem.unknowns.stabilised:
             what = others[0] if others else "a tie, an oblique support or a stabilised pressure"
             named = what if isinstance(what, str) else type(what).__name__

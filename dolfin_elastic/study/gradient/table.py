@@ -20,6 +20,8 @@ class Derivative:
         at: The parameter's value.
         unit: Of the parameter, as the case has it; empty of bare numbers.
         value: dQ/dm, the SI unit of Q over `unit`.
+        size: In `unit`, over which Q may well change: of the parameter, of its distance from what
+            is impossible, or of a cell.
         order: With which Taylor's remainder falls with the step, 2 of a right derivative; nan
             where nobody has looked, or where nothing but round-off is left of it.
     """
@@ -28,6 +30,7 @@ class Derivative:
     at: float
     unit: str
     value: float
+    size: float
     order: float = float("nan")
 
 

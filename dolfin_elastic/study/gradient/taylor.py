@@ -11,7 +11,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from dolfin_elastic.core.errors import InputError
-from dolfin_elastic.mesh.body import Body, cell_size
+from dolfin_elastic.mesh.body import Body
 from dolfin_elastic.study.gradient.spatial import OFFSET, nodes_moved
 from dolfin_elastic.study.gradient.table import Derivative, Gradient
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from dolfin_elastic.case.case import Case
 
 STEP = 0.01
-"""Larger one of the two, relative to a parameter, of offsets to the size of a cell."""
+"""Larger one of the two, relative to the size of a parameter."""
 ROUND_OFF = 1e-7
 """Remainder over the number below which it tells nothing: forces are balanced to 1e-8."""
 
@@ -37,7 +37,7 @@ def with_orders(
     """
     orders: list[list[float]] = [[] for _ in gradients]
     for number, derivative in enumerate(gradients[0].by):
-        step = STEP * (cell_size(body) if _moves(derivative) else derivative.at or 1.0)
+        step = STEP * derivative.size
         try:
             sides = [_at(case, body, derivative, share * step, values) for share in (1.0, 0.5)]
         except InputError:  # nu = 0.4995 has no larger one: the other side
@@ -48,7 +48,7 @@ def with_orders(
                 abs(side[row] - one.value - share * step * one.by[number].value)
                 for side, share in zip(sides, (1.0, 0.5), strict=True)
             ]
-            known = left[1] > ROUND_OFF * abs(one.value)
+            known = min(left) > ROUND_OFF * max(abs(one.value), abs(step * one.by[number].value))
             orders[row].append(math.log2(left[0] / left[1]) if known else math.nan)
     return tuple(
         replace(

@@ -466,6 +466,42 @@ def test_what_has_no_derivative() -> None:
     assert "materials that remember" in remembers
 
 
+def test_what_depends_on_places_has_no_derivative_by_the_shape() -> None:
+    """Prescribed displacements and constants that are formulas change where nodes move."""
+    formula = {"on": "right", "displacement": ["0.1*z", 0, 0]}
+    soft = {"gel": {**TABLES["materials"]["gel"], "E": "1e6*(1+z)"}}
+    cases = {"Support": {"support": [{"on": "left"}, formula]}, "gel.E": {"materials": soft}}
+    for what, more in cases.items():
+        tables = {**TABLES, "support": [{"on": "left"}], **more}
+        with pytest.raises(InputError, match=f"by the shape with '{what}'"):
+            gradient(Case.from_dict(tables), ["strain_energy"], offsets=["top"])
+    key = "materials.gel.E"
+    assert "which is no number" in refused("strain_energy", key, materials=soft)
+
+
+def test_numbers_that_are_zero() -> None:
+    """Steps of displacements are those of cells; where none is known, and of norms, it is told."""
+    small = {"box": {"size": ["2 mm", "1 mm", "1 mm"], "cells": [4, 2, 2]}, "degree": 1}
+    held = [{"on": "left"}, {"on": "right", "displacement": ["0.1 mm", 0, 0]}]
+    case = Case.from_dict({**TABLES, "mesh": small, "support": held, "load": []})
+    of, key = ["reaction_x of left", "strain_energy"], "support[1].displacement[1]"
+    found = gradient(case, of, [key]).gradients
+    sides = [
+        np.array([one.value for one in gradient(case.changed({key: y}), of).gradients])
+        for y in (1e-6, -1e-6)
+    ]
+    told = [one.by[0].value for one in found]
+    slopes = (sides[0] - sides[1]) / 2e-6
+    scale = [abs(one.value) / 1e-4 for one in found]
+    assert np.all(np.abs(told - slopes) < 1e-5 * np.array(scale))
+    mooney = {"gel": {"law": "mooney-rivlin", "c10": "0.1 MPa", "c01": "0 MPa", "K": "1 MPa"}}
+    supports = [{"on": "left"}]
+    message = refused("strain_energy", "materials.gel.c01", materials=mooney, load=[])
+    assert "where no size of a step is known" in message
+    message = refused("von_mises", "materials.gel.E", support=supports, load=[])
+    assert "where a norm has no derivative" in message
+
+
 def test_two_materials() -> None:
     """Each has cells of its own."""
     problem = Problem(
