@@ -23,7 +23,13 @@ from dolfin_elastic.solvers.nonlinear.adjoint import Adjoint, AdjointState
 from dolfin_elastic.solvers.nonlinear.newton import Newton
 from dolfin_elastic.solvers.statics.statics import Statics
 from dolfin_elastic.study.gradient.functionals import Functional, functionals
-from dolfin_elastic.study.gradient.modes import AtRest, check_modes, frequencies, is_frequency
+from dolfin_elastic.study.gradient.modes import (
+    AtRest,
+    check_modes,
+    frequencies,
+    is_frequency,
+    with_one_more,
+)
 from dolfin_elastic.study.gradient.parameters import (
     STEP,
     Basis,
@@ -184,13 +190,17 @@ def _check(problem: Problem) -> None:
     """Refuses what a state does not tell.
 
     Raises:
-        InputError: The equilibrium depends on the way to it.
+        InputError: The equilibrium depends on the way to it, or contact on unknown motions.
     """
     what = ""
     if problem.history is not None:
         what = "of materials that remember"
     elif problem.terms.dissipates or problem.terms.follows_path:
         what = "with friction, which depends on all steps before"
+    elif any(pair.contact.force is not None for pair in problem.contact_pairs) or (
+        problem.contact_pairs and problem.constraints.rigid_motions
+    ):
+        what = "of contact that moves an obstacle or a rigid surface under a force"
     if what:
         raise InputError(
             f"there is no gradient {what}",
@@ -286,6 +296,7 @@ def _solved(case: Case, asked: Asked, body: Body, petsc: PetscOptions | None) ->
 def _of_modes(case: Case, asked: Asked, problem: Problem, petsc: PetscOptions | None) -> Found:
     """Natural frequencies with their gradients. Collective."""
     check_modes(case, problem)
+    case = with_one_more(case, asked.of)
     with locate_errors(case.file), closing(case.make_solver(problem, petsc=petsc).steps()) as steps:
         modes = {one.number: one for one in steps if isinstance(one, Mode)}
         chosen, by = frequencies(asked.of, problem, modes), _By(asked, problem, case)

@@ -136,6 +136,15 @@ def frequencies(
     return result
 
 
+def with_one_more(case: Case, names: Sequence[str]) -> Case:
+    """The case with a mode beyond those of names, which tells whether the last one is alone."""
+    if case.modal is None or case.modal.below is not None:
+        return case
+    numbers = [int(match[1]) for name in names if (match := _NAME.fullmatch(name.strip()))]
+    count = case.modal.count or 6
+    return case.changed({"modal.count": count + 1}) if max(numbers) == count else case
+
+
 def check_modes(case: Case, problem: Problem) -> None:
     """Refuses modes whose stiffness depends on more than the case's numbers.
 

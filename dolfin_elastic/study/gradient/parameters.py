@@ -254,6 +254,7 @@ def _take_state(changed: Problem, here: Problem, t: float) -> None:
     """Puts a problem at the unknowns and the time of another one. Collective."""
     for name, scale in here.unknowns.scale.items():
         changed.unknowns.scale[name].value = scale.value
+    changed.terms.begin(moving=False)
     changed.set_time(t, default=PROPORTIONAL)
     changed.w.x.array[:] = here.w.x.array
     changed.unknowns.w_to_u()

@@ -37,6 +37,7 @@ from dolfin_elastic.case.case import Case
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.parallel import total
 from dolfin_elastic.study.gradient.gradient import Asked, Gradients, gradient
+from dolfin_elastic.study.gradient.modes import with_one_more
 from dolfin_elastic.study.gradient.parameters import Equilibrium
 
 COMM = MPI.COMM_WORLD
@@ -271,6 +272,11 @@ TURNED = {
 PLATED = [SIDES, {"on": "bottom"}]
 BESIDE: dict[str, tuple[list[Any], float, str]] = {
     "rigid surface under a force": ([{"on": "left"}, TURNED], 0.3, "support[1].force[1]"),
+    "bolt": (
+        [{"on": "left"}, {"on": "right", "displacement": [0, "free", "free"]}],
+        0.3,
+        "load[1].value",
+    ),
     "enclosed": (SHEARED, 0.5, "load[0].value[2]"),
     "enclosed under a plate": (
         [*PLATED, {**PLATE, "displacement": [0, 0, "free"], "force": [0, 0, "-10 kN"]}],
@@ -287,12 +293,17 @@ def test_unknowns_that_prescribe_or_are_prescribed(name: str) -> None:
     The differences are of second order, the steps a thousandth.
     """
     supports, nu, key = BESIDE[name]
+    loads = [{"on": "gel", "kind": "bolt", "axis": "x", "value": "2 kN"}] * (name == "bolt")
+    degree = 1 if nu < 0.5 else 2
     case = Case.from_dict(
         {
-            "mesh": {"box": {"size": [2, 1, 1], "cells": [2, 2, 2]}, "degree": 2},
+            "mesh": {"box": {"size": [2, 1, 1], "cells": [2, 2, 2]}, "degree": degree},
             "materials": {"gel": {"law": "neo-hookean", "mu": 3e5, "nu": nu, "density": 1000}},
             "support": supports,
-            "load": [{"kind": "gravity", "value": [3, 0, -9.81]}],
+            "load": [
+                {"kind": "gravity", "value": [3, 0, -9.81]},
+                *([bolt] if name == "bolt" else []),
+            ],
             "statics": {"rtol": 1e-12},
         }
     )
@@ -442,6 +453,25 @@ def test_frequencies() -> None:
     np.testing.assert_allclose(told, slopes, rtol=1e-5)  # of second order
 
 
+def test_frequencies_without_derivative() -> None:
+    """The mode behind the last one is found, too; a stretch across the plane is an unknown."""
+    steel = {"law": "linear-elastic", "E": "2 GPa", "nu": 0.3, "density": 1000}
+    plane = {"rectangle": {"size": [2, 1], "cells": [4, 2]}, "geometry": "plane-stress"}
+    tables = {
+        "mesh": {**plane, "degree": 1},
+        "materials": {"steel": steel},
+        "support": [{"on": "left"}],
+        "modal": {"count": 2},
+    }
+    case = Case.from_dict(tables)
+    for number, count in ((1, 2), (2, 3)):
+        modal = with_one_more(case, [f"frequency_{number}"]).modal
+        assert modal is not None
+        assert modal.count == count
+    with pytest.raises(InputError, match="with unknowns beside the displacement"):
+        gradient(case, ["frequency_1"], ["materials.steel.E"])
+
+
 # --- what is refused ---
 
 
@@ -464,6 +494,10 @@ def test_what_has_no_derivative() -> None:
     viscous = {"gel": {**TABLES["materials"]["gel"], "viscous": [{"ratio": 0.5, "time": 1.0}]}}
     remembers = refused("strain_energy", materials=viscous, statics={"steps": 2})
     assert "materials that remember" in remembers
+    plane = {"point": [0, 0, 1], "normal": [0, 0, -1]}
+    plate = {"on": "top", "plane": plane, "force": "2 kN", "direction": [0, 0, -1]}
+    pressed = refused("strain_energy", contact=[plate], load=[], support=[{"on": "bottom"}])
+    assert "moves an obstacle" in pressed
 
 
 def test_what_depends_on_places_has_no_derivative_by_the_shape() -> None:
