@@ -241,7 +241,8 @@ class _Search:
             )
         value = float(constants[self.key].value)
         if not value > 0:
-            raise CaseError(f"{self.key} is {value:g}", where="--field", expected="above 0")
+            what = f"{self.key} = {value:g} is not positive"
+            raise CaseError(what, where="--field", expected="a number above 0")
         chosen = np.zeros(len(self.body.owned_cells()), dtype=bool)
         name = self.key.split(".")[1]
         for region in problem.regions:
