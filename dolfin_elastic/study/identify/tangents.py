@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -67,8 +66,7 @@ class Tangents:
         self._problem, self._points = problem, points
         self._parameters = parameters(keys, problem, case)
         names = [_name(one, problem, probes) for one in wanted]
-        self._numbers_of = partial(functionals, names, probes=probes)
-        self._functionals = self._numbers_of(problem)
+        self._functionals = functionals(names, problem, probes)
         self.smoothed = any(one.name.startswith("norm:") for one in self._functionals)
         self.numbers, self.fields = list[FloatArray](), list[list[FloatArray]]()
         self._values = list[FloatArray]()
@@ -79,7 +77,8 @@ class Tangents:
             self._values.append(np.zeros(len(self._functionals)))
             self._add([np.zeros(len(self._functionals))] * len(self._parameters), None)
             return
-        here = Equilibrium(newton, self._numbers_of, self._functionals, state.t)
+        numbers = self._functionals
+        here = Equilibrium(newton, lambda _: numbers, numbers, state.t)
         adjoint = Adjoint(newton)
         try:
             sides = [one.derivative(here) for one in self._parameters]
@@ -92,8 +91,8 @@ class Tangents:
         through = [
             np.array([total(comm, float(slope @ motion)) for slope in slopes]) for motion in motions
         ]
-        numbers = [one.numbers + more for one, more in zip(sides, through, strict=True)]
-        self._add(numbers, [self._moved(newton, motion) for motion in motions])
+        whole = [one.numbers + more for one, more in zip(sides, through, strict=True)]
+        self._add(whole, [self._moved(newton, motion) for motion in motions])
 
     def _moved(self, newton: Newton, motion: FloatArray) -> fem.Function:
         """A change of all unknowns as one of the displacement."""
