@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import math
 from collections.abc import Mapping, Sequence
 from contextlib import closing
@@ -36,12 +35,17 @@ from dolfin_elastic.study.gradient.parameters import (
     Equilibrium,
     Sides,
     parameters,
+    quietly,
 )
-from dolfin_elastic.study.gradient.spatial import OFFSET, CellConstant, Shape
+from dolfin_elastic.study.gradient.spatial import (
+    OFFSET,
+    CellConstant,
+    Shape,
+    coefficient_of,
+    nodes_moved,
+)
 from dolfin_elastic.study.gradient.table import Derivative, Gradient, GradientTable
 from dolfin_elastic.study.gradient.taylor import with_orders
-
-log = logging.getLogger("dolfin_elastic")
 
 
 @dataclass(frozen=True)
@@ -116,6 +120,10 @@ class _By:
         self._parameters = parameters(asked.by, problem, case)
         self._cells: list[CellConstant] | None = None
         self._shape: Shape | None = None
+        for key in asked.fields:
+            coefficient_of(key, problem)
+        for surface in asked.offsets:
+            nodes_moved(problem.body, surface)
 
     def sides(self, basis: Basis) -> tuple[FloatArray, list[Sides]]:
         """Values, and what parameters change at fixed unknowns; functionals are left as they are.
@@ -201,6 +209,10 @@ def _check(problem: Problem) -> None:
         problem.contact_pairs and problem.constraints.rigid_motions
     ):
         what = "of contact that moves an obstacle or a rigid surface under a force"
+    elif any(term.bars for term in problem.terms) or any(
+        pair.contact.plane is None for pair in problem.contact_pairs
+    ):  # whose stiffness has a part of the curvature, which is no constraint
+        what = "of contact but that with rigid planes"
     if what:
         raise InputError(
             f"there is no gradient {what}",
@@ -246,13 +258,21 @@ def gradients_of(
         InputError: The case is wrong, or there is no such derivative.
         SolveError: No solution was found.
     """
+    if not (asked.of and (asked.by or asked.fields or asked.offsets)):
+        raise InputError(
+            "nothing changes" if asked.of else "no number is given",
+            where="--by" if asked.of else "--of",
+            expected="--by materials.NAME.E, --field materials.NAME.E or --offset SURFACE"
+            if asked.of
+            else "for example strain_energy",
+        )
     modal = any(map(is_frequency, asked.of))
     wanted = "modal" if modal else "statics"
     case = next((one for one in case.analyses() if one.analysis == wanted), case)
     if case.analysis != wanted or (modal and not all(map(is_frequency, asked.of))):
         raise InputError(
-            f"gradients are those of [statics], or of frequencies of [modal]: here is "
-            f"[{case.analysis}]",
+            "gradients are those of frequencies alone, with [modal], or of other numbers, "
+            f"with [statics]: here is [{case.analysis}]",
             where=case.file,
             expected="numbers of one of them, or `sweep` for other analyses",
         )
@@ -261,15 +281,15 @@ def gradients_of(
     if not verify:
         return found
 
-    def values(changed: Case) -> list[float]:
-        return [one.value for one in _solved(changed, only, body, petsc).gradients]
+    # Unknowns as they are now: a little beyond nu = 0.45 there would be a pressure among them.
+    same = {"mesh.formulation": "mixed" if found.problem.mixed else "displacement"}
 
-    level = log.level
-    log.setLevel(logging.ERROR)  # of solutions that are like the first one
-    try:
+    def values(changed: Case) -> list[float]:
+        alike = changed.changed(same)
+        return [one.value for one in _solved(alike, only, body, petsc).gradients]
+
+    with quietly():
         return replace(found, gradients=with_orders(found.gradients, case, body, values))
-    finally:
-        log.setLevel(level)
 
 
 def _solved(case: Case, asked: Asked, body: Body, petsc: PetscOptions | None) -> Found:
@@ -343,9 +363,14 @@ def gradient(
         InputError: The case is wrong, or there is no such derivative.
         SolveError: No solution was found.
     """
-    asked = Asked(tuple(of), tuple(by), tuple(fields), tuple(offsets))
+    asked = Asked(*map(_names, (of, by, fields, offsets)))
     found = gradients_of(case, asked, body=body, petsc=petsc, verify=verify, comm=comm)
     return GradientTable(found.gradients)
+
+
+def _names(given: str | Sequence[str]) -> tuple[str, ...]:
+    """Each name once."""
+    return (given,) if isinstance(given, str) else tuple(dict.fromkeys(given))
 
 
 def places_of_probes(case: Case, body: Body) -> dict[str, list[float]]:

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 _NAME = re.compile(r"frequency_([1-9]\d*)")
 _OPTION = "--of"
-_APART = 1e-4
+_APART = 5e-3
 """Relative distance of two frequencies below which they count as one."""
 _SAME = 1e-6
 """Relative distance of Rayleigh's quotient from the frequency, whose error is that of the mode."""

@@ -1,16 +1,18 @@
 """Parameters of an equilibrium: constants of materials, and any other number of a case.
 
 How a parameter changes the equations and the numbers at fixed unknowns is found by central
-differences of fourth order, which take evaluations but no solution: their error, of the order of
-the step to the fourth power, is 1e-12, and of what depends linearly on the parameter, as loads do,
-round-off.  What depends on all unknowns is exact, see `solvers.nonlinear.adjoint`.
+differences of fourth order, which take evaluations but no solution: with a step of 1e-4 their
+error is round-off, about 1e-11.  What depends on all unknowns is exact, see
+`solvers.nonlinear.adjoint`.
 Source of the differences: B. Fornberg, Math. Comp. 51 (1988) 699, table 1.
 """
 
 from __future__ import annotations
 
+import logging
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol
 
@@ -19,9 +21,10 @@ from dolfinx.fem import Constant
 
 from dolfin_elastic.core.errors import InputError, nearest
 from dolfin_elastic.core.types import FloatArray
-from dolfin_elastic.core.units import is_quantity, number_and_unit, unit_to_si
+from dolfin_elastic.core.units import is_quantity, number_and_unit, stress_unit, unit_to_si
 from dolfin_elastic.mesh.body import Body, cell_size
 from dolfin_elastic.model.amplitude import PROPORTIONAL
+from dolfin_elastic.model.materials.spatial import units_of
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.solvers.assembly.assembler import Assembler, Reactions, Residual
 from dolfin_elastic.solvers.assembly.dofs import ConstrainedDofs
@@ -31,7 +34,8 @@ from dolfin_elastic.study.gradient.functionals import Functional
 if TYPE_CHECKING:
     from dolfin_elastic.case.case import Case
 
-STEP = 1e-3
+log = logging.getLogger("dolfin_elastic")
+STEP = 1e-4
 """Of the differences, relative to the value, or to its distance from what is impossible."""
 WEIGHTS = {-2: 1 / 12, -1: -2 / 3, 1: 2 / 3, 2: -1 / 12}
 """Of the values at so many steps from the present one."""
@@ -238,7 +242,20 @@ class CaseNumber(Parameter):
     def evaluated(self, basis: Basis, value: float) -> Sides:
         """See `Parameter`."""
         changed = self._case.changed({self.key: self.written(value)})
-        return basis.on(changed.make_problem(self._body))
+        with quietly():  # what making it says was said before
+            problem = changed.make_problem(self._body)
+        return basis.on(problem)
+
+
+@contextmanager
+def quietly() -> Iterator[None]:
+    """Inside, no more than errors are logged: of solutions and problems that are like others."""
+    level = log.level
+    log.setLevel(logging.ERROR)
+    try:
+        yield
+    finally:
+        log.setLevel(level)
 
 
 def _move_prescribed(dofs: ConstrainedDofs) -> None:
@@ -266,6 +283,19 @@ def _written(case: Case | None, key: str) -> tuple[float, str] | None:
         return None if case is None else number_and_unit(case.value_at(key))
     except InputError:  # a default, or another name of the same
         return None
+
+
+def _by_unit(key: str, problem: Problem, value: float) -> tuple[float, str] | None:
+    """Number and unit of a constant that is no text of the case; None: it is no stress."""
+    units = {
+        f"materials.{region.name}.{name}": unit
+        for region in problem.regions
+        for name, unit in units_of(type(region.given)).items()
+    }
+    if units.get(key) != "Pa":
+        return None
+    size, unit = stress_unit(abs(value))
+    return value / size, unit
 
 
 def _size_beside(case: Case, key: str) -> float:
@@ -296,7 +326,8 @@ def _parameter(key: str, problem: Problem, case: Case | None) -> Parameter:
             for name in region.constants
             if key == f"materials.{region.name}.{name}"
         )
-        value, written = float(known[key].value), _written(case, key)
+        value = float(known[key].value)
+        written = _written(case, key) or (_by_unit(key, problem, value) if case else None)
         room = min(value - allowed.low, allowed.high - value) if allowed else np.inf
         if room == 0.0 or (value == 0.0 and (np.isinf(room) or (written and written[1]))):
             raise InputError(

@@ -71,7 +71,7 @@ class CellConstant(_Field):
 
     def __init__(self, key: str, dofs: ConstrainedDofs) -> None:
         super().__init__(dofs)
-        self.key, (self.region, self._coefficient) = key, _coefficient(key, self.problem)
+        self.key, (self.region, self._coefficient) = key, coefficient_of(key, self.problem)
         self._cells = fem.functionspace(self.problem.body.mesh, ("DG", 0))
 
     def by_logarithm(self, adjoint: AdjointState | None, functional: Functional) -> FloatArray:
@@ -109,8 +109,10 @@ def _in_cells(form: ufl.Form, test: Expr) -> ufl.Form:
     return ufl.Form([one.reconstruct(integrand=one.integrand() * test) for one in form.integrals()])
 
 
-def _coefficient(key: str, problem: Problem) -> tuple[MaterialRegion, fem.Constant | fem.Function]:
-    """The region of a constant, and what its law has in its place.
+def coefficient_of(
+    key: str, problem: Problem
+) -> tuple[MaterialRegion, fem.Constant | fem.Function]:
+    """The region of a constant, and what its law has in its place. Not collective.
 
     Raises:
         InputError: There is none that is a number.
