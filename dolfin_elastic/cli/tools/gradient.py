@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from dolfin_elastic.cli.run import Petsc, Quiet, Trust, begin
-from dolfin_elastic.core.errors import check_kept
+from dolfin_elastic.core.errors import InputError, check_kept
 from dolfin_elastic.core.petsc_options import parse_arguments
 from dolfin_elastic.core.signals import Stop
 from dolfin_elastic.core.startup.libraries import start
@@ -74,7 +74,13 @@ def gradient(
     from dolfin_elastic.study.gradient.table import GradientTable
     from dolfin_elastic.study.gradient.written import default_folder, write_gradient
 
-    asked = Asked(tuple(of), tuple(by or ()), tuple(field or ()), tuple(offset or ()))
+    asked = Asked(*(tuple(dict.fromkeys(names or ())) for names in (of, by, field, offset)))
+    if not (asked.by or asked.fields or asked.offsets):
+        raise InputError(
+            "nothing changes",
+            where="--by",
+            expected="--by materials.NAME.E, --field materials.NAME.E or --offset SURFACE",
+        )
     comm = begin(quiet)
     read = read_case(case, comm=comm, trust=trust)
     folder = output if output is not None else default_folder(read)
