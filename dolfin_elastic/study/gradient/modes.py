@@ -128,7 +128,8 @@ def frequencies(
         one = Frequency(name.strip(), problem, np.array(mode.u.x.array))
         if abs(one.value(np.zeros(0)) - mode.frequency) > _SAME * mode.frequency:
             raise InputError(
-                "there is no gradient of frequencies with forces that are in no form",
+                f"Rayleigh's quotient of mode {number} is not its frequency: the case has a "
+                "stiffness that gradients do not know",
                 where="gradient",
                 expected="`sweep`",
             )

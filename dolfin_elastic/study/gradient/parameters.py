@@ -74,8 +74,8 @@ class Equilibrium:
 
     Args:
         newton: After the solve.
-        numbers_of: Makes the functionals of a problem.
-        functionals: Those of the solver's problem.
+        numbers_of: Makes them of a problem on the same mesh: growth and thickness are in them, too.
+        functionals: What it has made of the problem at its equilibrium.
         t: Load factor, or time [s].
     """
 
