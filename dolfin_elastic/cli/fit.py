@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Annotated, TypeAlias
 
 import typer
 
-from dolfin_elastic.cli.fit_case import CaseFit, check_of_case, interval_text
-from dolfin_elastic.core.errors import CaseError, SolveError, nearest
+from dolfin_elastic.cli.fit_case import CaseFit, check_of_case, interval_text, refuse_earlier
+from dolfin_elastic.core.errors import CaseError, SolveError, check_kept, nearest
 from dolfin_elastic.core.startup.libraries import start
 
 if TYPE_CHECKING:
@@ -93,9 +93,13 @@ def fit(
     steps: Annotated[
         int, typer.Option("--steps", min=1, metavar="N", help="Largest number of steps from each.")
     ] = 400,
+    stable: Annotated[
+        bool, typer.Option("--stable", help="A law that is stable over the range of the tests.")
+    ] = False,
     output: Annotated[
         Path | None, typer.Option("--output", "-o", metavar="DIR", help="Folder of the results.")
     ] = None,
+    force: Annotated[bool, typer.Option("--force", help="Overwrite an earlier fit.")] = False,
     json: Annotated[bool, typer.Option("--json", help="Print JSON, for scripts.")] = False,
 ) -> None:
     """Fit the constants of a material, or values of a whole case, to what was measured.
@@ -104,6 +108,7 @@ def fit(
       dolfin-elastic fit law.toml --uniaxial a.csv --equibiaxial b.csv --unit MPa
       dolfin-elastic fit law.toml --uniaxial a.csv --fix nu --bounds "mu=0.1 MPa:10 MPa"
       dolfin-elastic fit law.toml --relaxation r.csv --weight relaxation=2
+      dolfin-elastic fit law.toml --uniaxial a.csv --stable --output stable
       dolfin-elastic fit case.toml --measured curve.csv --of "t:reaction_x of top" \\
                                    --vary materials.rubber.mu
 
@@ -124,6 +129,7 @@ def fit(
     from dolfin_elastic.case.case import locate_errors
     from dolfin_elastic.core.parallel import on_root
     from dolfin_elastic.study.fit.fit import fit_curves, read_curves, starting_law
+    from dolfin_elastic.study.fit.written import files_of
 
     files = {
         "uniaxial": uniaxial,
@@ -134,19 +140,14 @@ def fit(
         "relaxation": relaxation,
         "cyclic": cyclic,
     }
+    limits = _pairs("--bounds", bounds)
     data = {kind: paths for kind, paths in files.items() if paths}
     if measured or vary or of or field:
-        law_only = {**files, "unit": unit, "true": true, "fix": fix, "material": only}
-        check_of_case([name for name, given in law_only.items() if given], measured or [])
-        begun = CaseFit(
-            law,
-            measured or [],
-            _pairs("--bounds", bounds),
-            _weights(weight),
-            steps,
-            output,
-            json,
+        others = {"unit": unit, "true": true, "fix": fix, "material": only, "stable": stable}
+        check_of_case(
+            [name for name, given in {**files, **others}.items() if given], measured or []
         )
+        begun = CaseFit(law, measured or [], limits, _weights(weight), steps, output, force, json)
         if field is not None:
             begun.find_field(field, vary or [], noise=noise, smooth=smooth, penalty=penalty)
         else:
@@ -156,7 +157,9 @@ def fit(
 
     def on_one_rank() -> None:
         name, table = _read_law(law, only)
-        limits = _pairs("--bounds", bounds)
+        check_kept(folder, "--output")
+        if not force:
+            refuse_earlier(files_of(name, folder))
         curves = read_curves(data, _weights(weight), unit=unit, true=true)
         with locate_errors(f"{law}: materials.{name}"):
             given, marked = starting_law(table, curves)
@@ -168,6 +171,7 @@ def fit(
             bounds=limits,
             starts=starts,
             evaluations=steps,
+            stable=stable,
         )
         _show(name, result, table.get("on"), folder, json)
 
@@ -243,10 +247,8 @@ def _show(name: str, fit: Fit, on: object, folder: Path, json: bool) -> None:
     """
     from dolfin_elastic.cli.console import console
     from dolfin_elastic.cli.console_materials import as_json
-    from dolfin_elastic.core.errors import check_kept
     from dolfin_elastic.study.fit.written import material_toml, write_fit
 
-    check_kept(folder, "--output")
     files = write_fit(name, fit, folder, on)
     if json:
         print(as_json(_plain(fit)))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -28,6 +28,7 @@ class CaseFit:
         weights: Name of a file to its weight.
         steps: Largest number of steps.
         output: Folder of the results; None: by the name of the case.
+        force: Overwrite files of an earlier fit.
         json: Print JSON.
     """
 
@@ -37,18 +38,22 @@ class CaseFit:
     weights: Mapping[str, float]
     steps: int
     output: Path | None
+    force: bool
     json: bool
 
     def _begun(self) -> tuple[Case, Path, Callable[[str], None]]:
         """The case, the folder of the results, and what takes lines on the way. Collective."""
         from dolfin_elastic.case.check.rest import read_case
         from dolfin_elastic.cli.run import begin
-        from dolfin_elastic.study.identify.written import default_folder
+        from dolfin_elastic.core.parallel import on_root
+        from dolfin_elastic.study.identify.written import default_folder, files_of
 
         comm = begin(quiet=True)
         case = read_case(self.file, comm=comm)
         folder = self.output if self.output is not None else default_folder(case)
         check_kept(folder, "--output")
+        if not self.force:
+            on_root(comm, lambda: refuse_earlier(files_of(case.name, folder)))
         visible = comm.rank == 0 and not self.json
         return case, folder, _line if visible else lambda _: None
 
@@ -143,6 +148,24 @@ def _check_ended(ended: bool, why: str) -> None:
             f"the fit has not ended: {why}; the best so far is written",
             advice="more --steps or --starts, --bounds, or fewer keys after --vary",
         )
+
+
+def refuse_earlier(files: Iterable[Path]) -> None:
+    """Before the search: what it would overwrite may be in use by a case. Not collective.
+
+    Args:
+        files: All that the fit would write, existing or not.
+
+    Raises:
+        CaseError: One of them exists.
+    """
+    for path in files:
+        if path.exists():
+            raise CaseError(
+                "this file exists already",
+                where=str(path),
+                expected="--output with another folder, or --force to overwrite the earlier fit",
+            )
 
 
 def check_of_case(given: Sequence[str], measured: Sequence[Path]) -> None:

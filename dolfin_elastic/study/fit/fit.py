@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -19,7 +19,8 @@ from dolfin_elastic.study.fit.constants import chosen, guessed, marked_rows, wit
 from dolfin_elastic.study.fit.curves import KINDS, TestCurve, as_curve, known_kind
 from dolfin_elastic.study.fit.homogeneous import HomogeneousTests
 from dolfin_elastic.study.fit.model import Model
-from dolfin_elastic.study.fit.remarks import remarks, stability
+from dolfin_elastic.study.fit.remarks import remarks
+from dolfin_elastic.study.fit.stable import STABLE, Stabilised, stability
 from dolfin_elastic.study.least_squares.certainty import certainty
 from dolfin_elastic.study.least_squares.fitted import FittedConstant, constant_of, fitted_constants
 from dolfin_elastic.study.least_squares.problem import Constant
@@ -128,6 +129,7 @@ def fit(
     true: bool = False,
     starts: int | None = None,
     evaluations: int = EVALUATIONS,
+    stable: bool = False,
 ) -> Fit:
     """Fits the constants of a law to curves of material tests. Not collective.
 
@@ -144,6 +146,7 @@ def fit(
         true: Stresses whose column does not say what they are, are Cauchy's.
         starts: Largest number of starts of the search; None: 24, of compressible laws and metals 4.
         evaluations: Largest number of steps from each.
+        stable: The law is to be stable over the range of the tests, at the cost of larger errors.
 
     Raises:
         InputError: Something that was given is wrong.
@@ -152,7 +155,14 @@ def fit(
     curves = read_curves(data, weights or {}, unit=unit, true=true)
     given, marked = starting_law(law, curves)
     return fit_curves(
-        given, marked, curves, fix=fix, bounds=bounds or {}, starts=starts, evaluations=evaluations
+        given,
+        marked,
+        curves,
+        fix=fix,
+        bounds=bounds or {},
+        starts=starts,
+        evaluations=evaluations,
+        stable=stable,
     )
 
 
@@ -165,6 +175,7 @@ def fit_curves(
     bounds: Mapping[str, object],
     starts: int | None,
     evaluations: int,
+    stable: bool = False,
 ) -> Fit:
     """The same of a law and of curves that have been read. Not collective.
 
@@ -190,7 +201,40 @@ def fit_curves(
         first = search(Model(twin, curves, constants), many, evaluations)
         model.start = np.clip(first.z, model.low, model.high)
         answer = replace(search(model, 1, evaluations), starts=first.starts, same=first.same)
-    return _result(start, model, constants, answer)
+    if not stable:
+        return _result(start, model, constants, answer)
+
+    def is_stable(z: FloatArray) -> bool:
+        values = {row.name: float(x) for row, x in zip(model.free, z * model.scale, strict=True)}
+        try:
+            return STABLE in stability(with_numbers(start, values), model, z)
+        except InputError:  # the law does not accept them
+            return False
+
+    found = Stabilised(model, answer, is_stable, evaluations).answer
+    return _result(start, model, constants, found, _cost(model, answer.z, found))
+
+
+def _cost(model: Model, free: FloatArray, found: Answer) -> Iterator[str]:
+    """What stability costs: the errors without the condition and with it."""
+    if not found.ended or found.z is free:
+        return
+    errors = [
+        [
+            percent(float(np.sqrt(np.mean((P - curve.stress) ** 2)) / np.abs(curve.stress).max()))
+            for curve, P in zip(model.curves, model.by_curve(stresses), strict=True)
+        ]
+        for stresses in model.stresses(np.array([free, found.z]))
+    ]
+    both = (
+        f"{curve.kind} {before} and {after}"
+        for curve, before, after in zip(model.curves, *errors, strict=True)
+    )
+    yield (
+        "without the condition the law is not stable over the range of the tests; r.m.s. errors "
+        f"over the largest stress without and with it: {', '.join(both)}; the intervals do not "
+        "count it"
+    )
 
 
 def _incompressible(law: Law, constants: Sequence[Constant]) -> Law | None:
@@ -258,11 +302,13 @@ def read_curves(
     return curves
 
 
-def _result(start: Law, model: Model, constants: list[Constant], answer: Answer) -> Fit:
+def _result(
+    start: Law, model: Model, constants: list[Constant], answer: Answer, cost: Iterable[str] = ()
+) -> Fit:
     known = certainty(model, answer.z)
     values = dict(zip((row.name for row in model.free), answer.z * model.scale, strict=True))
     rows = fitted_constants(constants, model, answer.z, known)
-    notes = []
+    notes = [*cost]
     try:
         law = with_numbers(start, {name: float(x) for name, x in values.items()})
     except InputError as error:

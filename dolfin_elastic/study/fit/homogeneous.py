@@ -78,7 +78,7 @@ class HomogeneousTests:
             self._law = memory.over_step({"H": self._H}, step)
         small = law.small_strain()
         self._nu = 0.45 if small is None else min(small.nu, 0.4999)
-        self.incompressible = _is_incompressible(law)
+        self.incompressible, self.linear = _is_incompressible(law), law.linear
 
     def _stress(self, F: Expr) -> Expr:
         if self.incompressible:
@@ -144,13 +144,27 @@ class HomogeneousTests:
         Returns:
             Shapes (m n, 3, 3), one set after the other, and (m, n).
         """
-        m, n = len(rows), len(curve.x)
-        lasting = self._branches(rows)[2]
-        step = _Step(np.zeros((m * n, 3, 3)), np.repeat(lasting, n))
-        arrays = [np.repeat(array, n, axis=0) for array in self._symbolic.arrays(rows)]
-        F = self._guess(curve, np.tile(curve.x, m))
+        step, arrays = self._slowly(curve, rows)
+        F = self._guess(curve, np.tile(curve.x, len(rows)))
         F = self._equilibrium(curve.mode, F, step, arrays)
-        return F, self._measured(curve, F, step, arrays).reshape(m, n)
+        return F, self._measured(curve, F, step, arrays).reshape(len(rows), -1)
+
+    def tangents(
+        self, curve: TestCurve, rows: FloatArray
+    ) -> tuple[FloatArray, FloatArray, AnyArray]:
+        """The same, and dP/dF there [Pa], shape (m n, 3, 3, 3, 3).
+
+        Of an incompressible law it is that without the pressure.
+        """
+        step, arrays = self._slowly(curve, rows)
+        F, P = self.slow(curve, rows)
+        return F, P, self._A(F, step.H, step.instant, *arrays)
+
+    def _slowly(self, curve: TestCurve, rows: FloatArray) -> tuple[_Step, list[FloatArray]]:
+        """A step in which all has relaxed, and the constants, at all points of all sets."""
+        m, n = len(rows), len(curve.x)
+        step = _Step(np.zeros((m * n, 3, 3)), np.repeat(self._branches(rows)[2], n))
+        return step, [np.repeat(array, n, axis=0) for array in self._symbolic.arrays(rows)]
 
     def _over_time(self, curve: TestCurve, rows: FloatArray) -> FloatArray:
         """The same over time, from a body at rest.

@@ -61,12 +61,8 @@ class Model(LeastSquares):
     def _both(self, z: FloatArray) -> tuple[FloatArray, FloatArray]:
         """The two, found together: a test of many sets takes hardly longer than of one."""
         if self._last is None or not np.array_equal(self._last[0], z):
-            steps = _STEP * np.maximum(np.abs(z), 0.1)
-            above = np.minimum(z + np.diag(steps), self.high)
-            below = np.maximum(z - np.diag(steps), self.low)
-            found = self.stresses(np.vstack([z, above, below]))
-            k = len(z)
-            apart = np.diag(above - below)
+            sets, apart = central(z, self.low, self.high)
+            k, found = len(z), self.stresses(sets)
             slopes = ((found[1 : k + 1] - found[k + 1 :]) / apart[:, None]).T
             residuals = self.weights * (found[0] - self.measured)
             self._last = z.copy(), residuals, self.weights[:, None] * slopes
@@ -133,3 +129,16 @@ class Model(LeastSquares):
             sign = draw.choice([-1, 1])
             return float(sign * np.exp(draw.uniform(np.log(0.5), np.log(_FAR))) / scale)
         return super()._drawn(index, draw)
+
+
+def central(z: FloatArray, low: FloatArray, high: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """z, and beside it the sets of central differences that stay within bounds.
+
+    Returns:
+        z, those above and those below in each constant, shape (1 + 2 k, k); how far the last two
+        are apart, shape (k,).
+    """
+    steps = _STEP * np.maximum(np.abs(z), 0.1)
+    above = np.minimum(z + np.diag(steps), high)
+    below = np.maximum(z - np.diag(steps), low)
+    return np.vstack([z, above, below]), np.diag(above - below)

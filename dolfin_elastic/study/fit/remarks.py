@@ -1,18 +1,13 @@
-"""What a fit says in words: what the tests do not tell, which test would, and what is stable."""
+"""What a fit says in words: what the tests do not tell, and which test would."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from functools import partial
 
 import numpy as np
 
 from dolfin_elastic.core.types import FloatArray
-from dolfin_elastic.model.materials.law import Law
-from dolfin_elastic.model.point.ellipticity import acoustic_eigenvalues
-from dolfin_elastic.model.point.stable_range import rising
-from dolfin_elastic.model.point.tested import with_finite_moduli
-from dolfin_elastic.model.point.ufl_to_numpy import LawAtPoints
 from dolfin_elastic.study.fit.constants import VOLUME
 from dolfin_elastic.study.fit.curves import KINDS, TestCurve
 from dolfin_elastic.study.fit.homogeneous import HomogeneousTests
@@ -22,8 +17,6 @@ from dolfin_elastic.study.least_squares.remarks import remarks_on
 
 _OTHERS = ("uniaxial", "equibiaxial", "planar", "shear")
 _POINTS = 20
-_GRID = 16
-"""Points to each side of the rest at which stability is looked at."""
 _BETTER = 3.0
 """By how much another test must see a change of constants better, to be named."""
 _METAL = ("yield_stress", "hardening", "kinematic")
@@ -74,37 +67,3 @@ def _seen(model: Model, curves: Sequence[TestCurve], z: FloatArray, weak: FloatA
         size = float(np.sqrt(np.mean(middle**2)))
         result = max(result, float(np.sqrt(np.mean((high - low) ** 2))) / size)
     return result
-
-
-def stability(law: Law, model: Model, z: FloatArray) -> Iterator[str]:
-    """Where the law is strongly elliptic, and its force rises, in the tests.
-
-    The pressure of an incompressible law does not enter its acoustic tensor: a law with a large
-    bulk modulus in the same state stands for it. See `model.point.stable_range` for the source.
-    """
-    tests = model.tests
-    if not isinstance(tests, HomogeneousTests) or law.linear:
-        return
-    point, lost = LawAtPoints(with_finite_moduli(law)), False
-    strained = [c for c in model.curves if c.kind != "volumetric"]
-    for mode in dict.fromkeys(c.mode for c in strained):
-        curves, name = [c for c in strained if c.mode is mode], mode.name
-        low = min(mode.rest, *(float(c.x.min()) for c in curves))
-        high = max(mode.rest, *(float(c.x.max()) for c in curves))
-        sides = np.linspace(low, mode.rest, _GRID), np.linspace(mode.rest, high, _GRID)
-        x = np.unique(np.concatenate(sides))
-        grid = TestCurve("shear" if name == "simple-shear" else name, x, np.ones(len(x)))
-        F, P = tests.slow(grid, z[None] * model.scale)
-        rest = int(np.argmin(np.abs(x - mode.rest)))
-        good = (acoustic_eigenvalues(point, F) > 0) & rising(P[0], rest)
-        bad = np.flatnonzero(~good)
-        first = int(bad[bad <= rest].max(initial=-1)) + 1
-        last = int(bad[bad > rest].min(initial=len(x))) - 1
-        if (first, last) != (0, len(x) - 1):
-            lost = True
-            yield (
-                f"not stable over the whole {name} test, {mode.symbol} {low:.4g} to {high:.4g}: "
-                f"only from {x[min(first, rest)]:.4g} to {x[max(last, rest)]:.4g}"
-            )
-    if strained and not lost:
-        yield "stable over the range of the tests: elliptic, and the force rises"

@@ -57,11 +57,21 @@ def _written(row: FittedConstant) -> str | float:
     return float(f"{row.value:.{_DIGITS}g}")
 
 
+def files_of(name: str, folder: Path) -> list[Path]:
+    """The files of a fit: table, constants, curves and picture.
+
+    Args:
+        name: Of the material; the names of all files begin with it.
+    """
+    begin = "".join(c if c.isalnum() or c in "-_" else "_" for c in name)
+    return [folder / f"{begin}{end}" for end in (".toml", "_constants.csv", "_curves.csv", ".png")]
+
+
 def write_fit(name: str, fit: Fit, folder: Path, on: object = None) -> list[Path]:
     """Writes all files of a fit. Not collective.
 
     Args:
-        name: Of the material; begins the files' names.
+        name: See `files_of`.
         folder: Where they go; made if missing.
         on: See `material_toml`.
 
@@ -72,8 +82,7 @@ def write_fit(name: str, fit: Fit, folder: Path, on: object = None) -> list[Path
         OutputError: Something cannot be written.
     """
     make_folder(folder)
-    begin = "".join(c if c.isalnum() or c in "-_" else "_" for c in name)
-    paths = [folder / f"{begin}{end}" for end in (".toml", "_constants.csv", "_curves.csv", ".png")]
+    paths = files_of(name, folder)
     replace_text(paths[0], material_toml(name, fit, on))
     replace_text(paths[1], constants_csv(fit.fitted, fit.correlation))
     replace_text(paths[2], _curves(fit))

@@ -44,6 +44,16 @@ def default_folder(case: Case) -> Path:
     return folder.with_name(f"{folder.name.removesuffix('_results')}_fitted")
 
 
+def files_of(name: str, folder: Path) -> list[Path]:
+    """The files that a fit of a case, or the search for a field, may write.
+
+    Args:
+        name: Of the case; the names of all files begin with it.
+    """
+    ends = (".toml", "_constants.csv", "_curves.csv", "_points.csv", "_field.xdmf", ".png")
+    return [folder / f"{name}{end}" for end in ends]
+
+
 def write_identified(found: Identified, folder: Path) -> list[Path]:
     """Writes all files of a fit. Not collective.
 

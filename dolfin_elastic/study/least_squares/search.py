@@ -63,7 +63,7 @@ def search(model: LeastSquares, starts: int, evaluations: int) -> Answer:
         cost = float(np.sum(model.residuals(z) ** 2))
         return Answer(z, cost, True, "linear least squares", 1, 1)
     ends: list[Answer] = []
-    for k, z in enumerate(_starts(model, starts)):
+    for k, z in enumerate(spread(model, starts)):
         if (end := _descend(model, z, linear, evaluations)) is not None:
             ends.append(end)
             if len(_same(ends)) >= _ENOUGH and k + 1 >= 2 * _ENOUGH:
@@ -81,7 +81,7 @@ def _same(ends: Sequence[Answer]) -> list[Answer]:
     return [one for one in ends if one.cost <= least * (1 + _SAME) + 1e-24]
 
 
-def _starts(model: LeastSquares, count: int) -> list[FloatArray]:
+def spread(model: LeastSquares, count: int) -> list[FloatArray]:
     """Values to start from: those given first, then random ones that are always the same."""
     draw = np.random.default_rng(20)
     return [model.start, *(model.another_start(draw) for _ in range(count - 1))]

@@ -217,9 +217,26 @@ def test_the_command(tmp_path):
     assert float(number) == pytest.approx(mu["value"] / {"kPa": 1e3, "MPa": 1e6}[unit], rel=1e-6)
     names = {path.name for path in (tmp_path / "law_fitted").iterdir()}
     assert names == {"rubber.toml", "rubber.png", "rubber_constants.csv", "rubber_curves.csv"}
-    code, out, err = cli(*words, folder=tmp_path, ranks=2)
+    code, out, err = cli(*words, "--force", "--stable", folder=tmp_path, ranks=2)
     assert code == 0, err
     assert out.count("[materials.rubber]") == 1
+
+
+def test_an_earlier_fit_stays(tmp_path):
+    """What a case may use is not overwritten, and refused before the search."""
+    (tmp_path / "law.toml").write_text(LAW)
+    (tmp_path / "a.csv").write_text(GOOD)
+    (tmp_path / "law_fitted").mkdir()
+    (tmp_path / "law_fitted/rubber.toml").write_text("mine")
+    words = ("fit", "law.toml", "--uniaxial", "a.csv", "--unit", "MPa")
+    code, out, err = cli(*words, folder=tmp_path)
+    assert (code, out) == (2, "")
+    assert err == (
+        "error: law_fitted/rubber.toml: this file exists already; --output with another folder, "
+        "or --force to overwrite the earlier fit\n"
+    )
+    assert [path.name for path in (tmp_path / "law_fitted").iterdir()] == ["rubber.toml"]
+    assert (tmp_path / "law_fitted/rubber.toml").read_text() == "mine"
 
 
 def test_codes_of_the_command(tmp_path):

@@ -225,13 +225,20 @@ def test_the_command_and_its_files(tmp_path: Path) -> None:
     assert value.endswith(" MPa")
     assert float(value.split(maxsplit=1)[0]) == pytest.approx(float(row[2]), rel=1e-6)
     assert len((folder / "case_points.csv").read_text().splitlines()) == 5
-    code, out, err = cli(
-        "fit", "case.toml", *files, *keys, "--json", "--steps", "1", folder=tmp_path
+    again = ("fit", "case.toml", *files, *keys, "--json", "--steps", "1")
+    assert cli(*again, folder=tmp_path) == (
+        2,
+        "",
+        "error: case_fitted/case.toml: this file exists already; --output with another folder, or "
+        "--force to overwrite the earlier fit\n",
     )
+    code, out, err = cli(*again, "--force", folder=tmp_path)
     assert code == 3
     assert "has not ended" in err
     assert json.loads(out)["values"]["materials.steel.E"]["unit"] == "MPa"
     code, out, err = cli("fit", "case.toml", *files, "--uniaxial", "a.csv", folder=tmp_path)
     assert (code, "--uniaxial" in err) == (2, True)
+    code, out, err = cli("fit", "case.toml", *files, "--stable", folder=tmp_path)
+    assert (code, "--stable" in err) == (2, True)
     code, out, err = cli("fit", "case.toml", *keys, folder=tmp_path)
     assert (code, "nothing was measured" in err) == (2, True)
