@@ -158,6 +158,7 @@ meshes, supports, loads, pressures and probes, have tests of their own; on one r
 the linear ones, which run on two so that reference cases as such do."""
 SHARED = {
     "study/converge/test_converge.py",
+    "study/gradient/test_gradient.py",
     "study/identify/test_identify.py",
     "study/identify/test_identify_field.py",
     "study/sweep/test_sweep.py",
