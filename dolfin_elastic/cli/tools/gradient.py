@@ -60,9 +60,9 @@ def gradient(
       dolfin-elastic gradient hook.toml --of strain_energy --field materials.steel.E
 
     NUMBER is strain_energy, displacement_z of a probe, an edge or a point, reaction_x of a support,
-    mean, integral or norm:16 of a field on a part: "mean von_mises on fillet", or of [modal]
-    frequency_1.  A largest value has no derivative where it jumps between places; a smooth norm
-    stands for it.
+    mean, integral or norm:16 of a field on a part: "mean von_mises on fillet", frequency_1 of
+    [modal] or load_factor_1 of [buckling].  A largest value has no derivative where it jumps
+    between places; a smooth norm stands for it.
     KEY is a key of the case file with dots, numbers of rows in brackets.
     One adjoint solution for each NUMBER gives all its derivatives.  The table, a plot and fields
     for ParaView go to CASE_gradient.

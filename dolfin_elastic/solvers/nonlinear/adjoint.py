@@ -179,9 +179,14 @@ class Adjoint:
 
     def _plain_inverse(self, right: FloatArray) -> FloatArray:
         """The same without contact. Collective."""
-        linear, options = self._newton.linear, self._newton.options
         self._x.array_w[:] = self._assembler.collect(right)
         self._assembler.remove_constrained(self._x)
+        self._solve()
+        self._assembler.remove_constrained(self._y)
+        return np.asarray(self._y.array_r.copy())
+
+    def _solve(self) -> None:
+        linear, options = self._newton.linear, self._newton.options
         with options.in_force(), petsc_errors(), linear.left_as_it_is():
             self._ksp.solve(self._x, self._y)
             if self._ksp.getConvergedReason() < 0 and self._ksp.getType() == "cg":
@@ -194,8 +199,21 @@ class Adjoint:
                 f"the adjoint was not found: {ksp_reason(reason)}",
                 expected='solver.method = "direct", which has factors',
             )
-        self._assembler.remove_constrained(self._y)
-        return np.asarray(self._y.array_r.copy())
+
+    def step(self) -> FloatArray:
+        """The linear solution from the problem's unknowns, as of a symmetric tangent. Collective.
+
+        Returns:
+            The change of owned entries, with that of prescribed ones.
+        """
+        self._assembler.get(self._x)
+        self._assembler.residual.evaluate(self._x, self._y)
+        self._y.copy(self._x)
+        self._x.scale(-1.0)
+        self._solve()
+        result = np.asarray(self._y.array_r.copy())
+        self._assembler.extend(result)
+        return result
 
     def destroy(self) -> None:
         """Frees what it owns. Collective."""

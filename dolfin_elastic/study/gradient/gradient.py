@@ -7,6 +7,8 @@ from collections.abc import Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
 
+import numpy as np
+import ufl
 from mpi4py import MPI
 
 from dolfin_elastic.case.case import Case, locate_errors
@@ -21,12 +23,13 @@ from dolfin_elastic.solvers.assembly.dofs import ConstrainedDofs
 from dolfin_elastic.solvers.nonlinear.adjoint import Adjoint, AdjointState
 from dolfin_elastic.solvers.nonlinear.newton import Newton
 from dolfin_elastic.solvers.statics.statics import Statics
+from dolfin_elastic.study.gradient.buckling import LinearState, Prebuckling, load_factors
 from dolfin_elastic.study.gradient.functionals import Functional, functionals
 from dolfin_elastic.study.gradient.modes import (
     AtRest,
+    analysis_of,
     check_modes,
     frequencies,
-    is_frequency,
     with_one_more,
 )
 from dolfin_elastic.study.gradient.parameters import (
@@ -115,8 +118,14 @@ class Gradients:
 class _By:
     """All parameters together.  Collective."""
 
-    def __init__(self, asked: Asked, problem: Problem, case: Case | None) -> None:
-        self._asked, self._comm = asked, problem.body.comm
+    def __init__(
+        self,
+        asked: Asked,
+        problem: Problem,
+        case: Case | None,
+        residual: ufl.Form | None = None,
+    ) -> None:
+        self._asked, self._comm, self._residual = asked, problem.body.comm, residual
         self._parameters = parameters(asked.by, problem, case)
         self._cells: list[CellConstant] | None = None
         self._shape: Shape | None = None
@@ -150,8 +159,8 @@ class _By:
             solutions: The adjoint of each; None: it does not depend on the unknowns.
         """
         if self._cells is None:
-            self._cells = [CellConstant(key, dofs) for key in self._asked.fields]
-            self._shape = Shape(dofs) if self._asked.offsets else None
+            self._cells = [CellConstant(key, dofs, self._residual) for key in self._asked.fields]
+            self._shape = Shape(dofs, self._residual) if self._asked.offsets else None
         return tuple(
             self._gradient(one, float(values[number]), number, sides, solutions[number])
             for number, one in enumerate(functionals)
@@ -260,13 +269,12 @@ def gradients_of(
     """
     if not asked.of:
         raise InputError("no number is given", where="--of", expected="for example strain_energy")
-    modal = any(map(is_frequency, asked.of))
-    wanted = "modal" if modal else "statics"
-    case = next((one for one in case.analyses() if one.analysis == wanted), case)
-    if case.analysis != wanted or (modal and not all(map(is_frequency, asked.of))):
+    analyses = {analysis_of(name) for name in asked.of}
+    case = next((one for one in case.analyses() if one.analysis in analyses), case)
+    if {case.analysis} != analyses:
         raise InputError(
-            "gradients are those of frequencies alone, with [modal], or of other numbers, "
-            f"with [statics]: here is [{case.analysis}]",
+            "gradients are those of frequencies alone, with [modal], of load factors alone, with "
+            f"[buckling], or of other numbers, with [statics]: here is [{case.analysis}]",
             where=case.file,
             expected="numbers of one of them, or `sweep` for other analyses",
         )
@@ -289,7 +297,7 @@ def gradients_of(
 def _solved(case: Case, asked: Asked, body: Body, petsc: PetscOptions | None) -> Found:
     """One solution with its gradients. Collective."""
     problem, found = case.make_problem(body), list[Found]()
-    if case.analysis == "modal":
+    if case.analysis != "statics":
         return _of_modes(case, asked, problem, petsc)
     with locate_errors(case.file):
         gradients = Gradients(asked, problem, case, places_of_probes(case, body))
@@ -308,15 +316,34 @@ def _solved(case: Case, asked: Asked, body: Body, petsc: PetscOptions | None) ->
 
 
 def _of_modes(case: Case, asked: Asked, problem: Problem, petsc: PetscOptions | None) -> Found:
-    """Natural frequencies with their gradients. Collective."""
+    """Natural frequencies or load factors with their gradients. Collective."""
     check_modes(case, problem)
     case = with_one_more(case, asked.of)
     with locate_errors(case.file), closing(case.make_solver(problem, petsc=petsc).steps()) as steps:
         modes = {one.number: one for one in steps if isinstance(one, Mode)}
+        if case.analysis == "buckling":
+            return _of_buckling(case, asked, problem, modes, petsc)
         chosen, by = frequencies(asked.of, problem, modes), _By(asked, problem, case)
         values, sides = by.sides(AtRest(chosen))
         nothing = [None] * len(chosen)
         gradients = by.gradients(ConstrainedDofs(problem), chosen, values, sides, nothing)
+    return Found(gradients, problem, State(0, 0.0, problem.u))
+
+
+def _of_buckling(
+    case: Case,
+    asked: Asked,
+    problem: Problem,
+    modes: Mapping[int, Mode],
+    petsc: PetscOptions | None,
+) -> Found:
+    """Load factors with their gradients. Collective."""
+    with closing(Prebuckling(case, problem, petsc)) as before:
+        chosen = load_factors(asked.of, before, modes)
+        by = _By(asked, problem, case, before.residual)
+        values, sides = by.sides(LinearState(before, chosen))
+        solutions = [before.adjoint.solve(one.by_unknowns(), np.zeros(0)) for one in chosen]
+        gradients = by.gradients(before.assembler, chosen, values, sides, solutions)
     return Found(gradients, problem, State(0, 0.0, problem.u))
 
 
@@ -341,7 +368,7 @@ def gradient(
         case: From `read_case`.
         of: Numbers, such as "displacement_z of tip", "reaction_x of left", "strain_energy",
             "mean von_mises on fillet" or "von_mises on fillet", for which a smooth norm stands; or
-            "frequency_1" of [modal].
+            "frequency_1" of [modal], or "load_factor_1" of [buckling].
         by: Dotted keys of numbers of the case.
         fields: Keys of constants of materials whose values in all cells are parameters.
         offsets: Names of surfaces that move along their normals, each by itself.

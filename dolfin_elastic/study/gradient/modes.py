@@ -7,7 +7,7 @@ count, and no further system is solved.  Source: R. L. Fox and M. P. Kapoor, AIA
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -25,7 +25,8 @@ from dolfin_elastic.study.gradient.parameters import Sides
 if TYPE_CHECKING:
     from dolfin_elastic.case.case import Case
 
-_NAME = re.compile(r"frequency_([1-9]\d*)")
+_NAMES = {"modal": "frequency", "buckling": "load_factor"}
+_NAME = re.compile(r"(frequency|load_factor)_([1-9]\d*)")
 _OPTION = "--of"
 _APART = 5e-3
 """Relative distance of two frequencies below which they count as one."""
@@ -33,9 +34,11 @@ _SAME = 1e-6
 """Relative distance of Rayleigh's quotient from the frequency, whose error is that of the mode."""
 
 
-def is_frequency(name: str) -> bool:
-    """Whether a number is a natural frequency."""
-    return _NAME.fullmatch(name.strip()) is not None
+def analysis_of(name: str) -> str:
+    """Whose number it is: "modal", "buckling", or else "statics"."""
+    match = _NAME.fullmatch(name.strip())
+    words = {word: analysis for analysis, word in _NAMES.items()}
+    return "statics" if match is None else words[match[1]]
 
 
 class Frequency(Functional):
@@ -103,47 +106,81 @@ def frequencies(
         InputError: There is no such mode, it is rigid, or another one has the same frequency.
     """
     result = []
-    for name in names:
-        match = _NAME.fullmatch(name.strip())
-        assert match is not None
-        number = int(match[1])
-        mode = modes.get(number)
-        if mode is None or mode.kind != "elastic":
-            raise InputError(
-                f"mode {number} is {'rigid' if mode else 'not among those that were found'}",
-                where=_OPTION,
-                expected=f"frequency_N of {len(modes)} modes, or a larger modal.count",
-            )
-        near = [
-            other.number
-            for other in modes.values()
-            if other is not mode and abs(other.frequency - mode.frequency) < _APART * mode.frequency
-        ]
-        if near:
-            raise InputError(
-                f"modes {number} and {near[0]} have the same frequency, which has no derivative",
-                where=_OPTION,
-                expected="another mode, or a body without that symmetry",
-            )
-        one = Frequency(name.strip(), problem, np.array(mode.u.x.array))
-        if abs(one.value(np.zeros(0)) - mode.frequency) > _SAME * mode.frequency:
-            raise InputError(
-                f"Rayleigh's quotient of mode {number} is not its frequency: the case has a "
-                "stiffness that gradients do not know",
-                where="gradient",
-                expected="`sweep`",
-            )
+    for name, mode in chosen(names, modes, "elastic"):
+        one = Frequency(name, problem, np.array(mode.u.x.array))
+        check_quotient(mode, one.value(np.zeros(0)), mode.frequency)
         result.append(one)
     return result
 
 
+def chosen(
+    names: Sequence[str], modes: Mapping[int, Mode], kind: str
+) -> Iterator[tuple[str, Mode]]:
+    """Names without blanks, and the mode of each, which is alone. Not collective.
+
+    Args:
+        names: "frequency_1" ... or "load_factor_1" ...
+        modes: Number to mode, of all that were found.
+        kind: "elastic" or "buckling".
+
+    Raises:
+        InputError: See `frequencies`.
+    """
+    for name in names:
+        match = _NAME.fullmatch(name.strip())
+        assert match is not None
+        number = int(match[2])
+        mode = modes.get(number)
+        if mode is None or mode.kind != kind:
+            raise InputError(
+                f"mode {number} is {'rigid' if mode else 'not among those that were found'}",
+                where=_OPTION,
+                expected=f"one of the {len(modes)} modes, or a larger count",
+            )
+        near = [
+            other.number
+            for other in modes.values()
+            if other is not mode
+            and abs(other.eigenvalue - mode.eigenvalue) < 2 * _APART * abs(mode.eigenvalue)
+        ]
+        if near:
+            raise InputError(
+                f"modes {number} and {near[0]} have the same {match[1].replace('_', ' ')}, which "
+                "has no derivative",
+                where=_OPTION,
+                expected="another mode, or a body without that symmetry",
+            )
+        yield name.strip(), mode
+
+
+def check_quotient(mode: Mode, found: float, known: float) -> None:
+    """Compares Rayleigh's quotient of a mode with its eigenvalue. Not collective.
+
+    Args:
+        found: Quotient of the forms that are differentiated.
+        known: Value that the eigensolver gives [1/s or 1].
+
+    Raises:
+        InputError: They differ.
+    """
+    if not abs(found - known) <= _SAME * abs(known):
+        raise InputError(
+            f"Rayleigh's quotient of mode {mode.number} is not its value: the case has a "
+            "stiffness that gradients do not know",
+            where="gradient",
+            expected="`sweep`",
+        )
+
+
 def with_one_more(case: Case, names: Sequence[str]) -> Case:
     """The case with a mode beyond those of names, which tells whether the last one is alone."""
-    if case.modal is None or case.modal.below is not None:
-        return case
-    numbers = [int(match[1]) for name in names if (match := _NAME.fullmatch(name.strip()))]
-    count = case.modal.count or 6
-    return case.changed({"modal.count": count + 1}) if max(numbers) == count else case
+    numbers = [int(match[2]) for name in names if (match := _NAME.fullmatch(name.strip()))]
+    count = 0
+    if case.buckling is not None:
+        count = case.buckling.count
+    elif case.modal is not None and case.modal.below is None:
+        count = case.modal.count or 6
+    return case.changed({f"{case.analysis}.count": count + 1}) if max(numbers) == count else case
 
 
 def check_modes(case: Case, problem: Problem) -> None:
@@ -152,11 +189,12 @@ def check_modes(case: Case, problem: Problem) -> None:
     Raises:
         InputError: They are about a loaded state, or have other unknowns or contact.
     """
-    preloaded = case.modal is not None and bool(case.modal.preload)
+    settings = case.modal or case.buckling
+    preloaded = settings is not None and bool(settings.preload)
     beside = problem.w is not problem.u
     if preloaded or beside or problem.contact_pairs or problem.terms.bars:
         what = "with unknowns beside the displacement, or contact"
         what = "about a loaded state" if preloaded else what
         raise InputError(
-            f"there is no gradient of frequencies {what}", where="gradient", expected="`sweep`"
+            f"there is no gradient of modes {what}", where="gradient", expected="`sweep`"
         )

@@ -109,7 +109,7 @@ class Equilibrium:
             dofs = ConstrainedDofs(changed)
             forces = Reactions(dofs, None, {}, None)
             residual = Residual(dofs, changed.weak_form.residual, None, forces, None)
-            _move_prescribed(dofs)
+            move_prescribed(dofs)
             residual.assemble()
         else:
             assembler = Assembler(changed)
@@ -117,7 +117,7 @@ class Equilibrium:
             assert scalars is not None
             scalars.put(bordered.scalars.get())
             residual = assembler.residual
-            _move_prescribed(assembler)
+            move_prescribed(assembler)
             residual.assemble()
             equations = scalars.residual(residual)
             assembler.destroy()
@@ -258,7 +258,7 @@ def quietly() -> Iterator[None]:
         log.setLevel(level)
 
 
-def _move_prescribed(dofs: ConstrainedDofs) -> None:
+def move_prescribed(dofs: ConstrainedDofs) -> None:
     """Moves what is prescribed of the problem's unknowns to its values. Collective."""
     w = dofs.problem.w
     w.x.array[: dofs.size] -= dofs.differences()

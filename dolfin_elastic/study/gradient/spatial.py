@@ -37,10 +37,11 @@ class _Field:
         work: The form.
     """
 
-    def __init__(self, dofs: ConstrainedDofs) -> None:
+    def __init__(self, dofs: ConstrainedDofs, residual: ufl.Form | None = None) -> None:
         self.dofs, self.problem = dofs, dofs.problem
         self.adjoint = fem.Function(self.problem.W)
-        self.work = ufl.action(self.problem.weak_form.residual, self.adjoint)
+        forces = self.problem.weak_form.residual if residual is None else residual
+        self.work = ufl.action(forces, self.adjoint)
         self._forms: dict[str, fem.Form] = {}
 
     def _take(self, adjoint: AdjointState, functional: Functional) -> None:
@@ -64,13 +65,14 @@ class CellConstant(_Field):
 
     Args:
         key: Dotted, "materials.NAME.E"; a constant, or one that varies in space.
+        residual: Virtual work of the equations; None: of the problem's.
 
     Raises:
         InputError: There is no such constant.
     """
 
-    def __init__(self, key: str, dofs: ConstrainedDofs) -> None:
-        super().__init__(dofs)
+    def __init__(self, key: str, dofs: ConstrainedDofs, residual: ufl.Form | None = None) -> None:
+        super().__init__(dofs, residual)
         self.key, (self.region, self._coefficient) = key, coefficient_of(key, self.problem)
         self._cells = fem.functionspace(self.problem.body.mesh, ("DG", 0))
 
@@ -150,6 +152,9 @@ _SHAPED = (Traction, Force, Pressure, BodyForce, Gravity)
 class Shape(_Field):
     """The positions of the nodes of the undeformed body.  Collective.
 
+    Args:
+        residual: See `CellConstant`.
+
     Attributes:
         V: Space of the positions.
 
@@ -159,8 +164,8 @@ class Shape(_Field):
 
     key = "shape"
 
-    def __init__(self, dofs: ConstrainedDofs) -> None:
-        super().__init__(dofs)
+    def __init__(self, dofs: ConstrainedDofs, residual: ufl.Form | None = None) -> None:
+        super().__init__(dofs, residual)
         problem = self.problem
         known = [
             one

@@ -5,9 +5,15 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from os import PathLike
+from pathlib import Path
 
 from dolfin_elastic.core.errors import InputError, nearest
+from dolfin_elastic.core.si_text import quantity
+from dolfin_elastic.core.startup.elsewhere import plain_matplotlib
 from dolfin_elastic.core.types import FloatArray
+from dolfin_elastic.results.files import drafted
+from dolfin_elastic.results.finished.curves import literal
 from dolfin_elastic.study.tabled import Tabled
 
 
@@ -105,7 +111,23 @@ class GradientTable(Tabled):
             "taylor_order": [d.order for _, d in rows],
         }
 
+    @property
+    def drawable(self) -> bool:
+        """There is something to draw."""
+        return any(math.isfinite(relative(one, d)) for one in self.gradients for d in one.by)
 
+    def plot(self, file: str | PathLike[str]) -> None:
+        """Draws bars: by how much numbers change where a parameter is 1 % larger. Not collective.
+
+        Raises:
+            OutputError: The picture cannot be written.
+        """
+        _draw(self, Path(file))
+
+
+_MOST = 12
+"""Bars of one number."""
+_INK = "#1f5f8b"
 _NOTHING = 1e-7
 """Relative derivative below which it is round-off."""
 
@@ -116,3 +138,39 @@ def relative(one: Gradient, derivative: Derivative) -> float:
         return math.nan
     result = derivative.at * derivative.value / one.value
     return result if abs(result) > _NOTHING else 0.0
+
+
+@plain_matplotlib()
+def _draw(table: GradientTable, path: Path) -> None:
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    panels = [
+        (one, sorted(rows, key=lambda row: abs(row[1]))[-_MOST:])
+        for one in table.gradients
+        if (rows := [(d.key, r) for d in one.by if math.isfinite(r := relative(one, d))])
+    ]
+    heights = [0.5 + 0.32 * len(rows) for _, rows in panels]
+    figure = Figure(figsize=(7, 0.6 + sum(heights) + 0.5 * len(panels)), layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.subplots(len(panels), 1, squeeze=False, height_ratios=heights)[:, 0]
+    for axis, (one, rows) in zip(axes, panels, strict=True):
+        axis.barh([literal(key) for key, _ in rows], [r for _, r in rows], color=_INK, height=0.6)
+        axis.axvline(0.0, color="0.3", linewidth=0.8)
+        axis.set_title(literal(f"{one.name} = {quantity(one.value, one.unit)}"), fontsize=10)
+        axis.margins(x=0.2)
+        for side in ("top", "right", "left"):
+            axis.spines[side].set_visible(False)
+        for place, (_, r) in enumerate(rows):
+            axis.annotate(
+                f"{r:+.2g} %" if r else "0",
+                (r, place),
+                xytext=(4 if r >= 0 else -4, 0),
+                textcoords="offset points",
+                va="center",
+                ha="left" if r >= 0 else "right",
+                fontsize=8,
+            )
+    axes[-1].set_xlabel("change [%] where the parameter is 1 % larger")
+    with drafted(path) as draft:
+        figure.savefig(draft, format="png", dpi=130)

@@ -3,22 +3,18 @@
 from __future__ import annotations
 
 import json
-import math
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from dolfin_elastic.core.parallel import on_root
-from dolfin_elastic.core.si_text import quantity
-from dolfin_elastic.core.startup.elsewhere import plain_matplotlib
 from dolfin_elastic.mesh.fields import MeshField
 from dolfin_elastic.mesh.geometry.curved import cell_volumes
-from dolfin_elastic.results.files import drafted, json_data, make_folder, replace_text
-from dolfin_elastic.results.finished.curves import literal
+from dolfin_elastic.results.files import json_data, make_folder, replace_text
 from dolfin_elastic.results.writers.xdmf import XdmfWriter
 from dolfin_elastic.study.gradient.gradient import Found
-from dolfin_elastic.study.gradient.table import GradientTable, relative
+from dolfin_elastic.study.gradient.table import GradientTable
 from dolfin_elastic.study.tabled import csv_text
 
 if TYPE_CHECKING:
@@ -30,9 +26,6 @@ TABLE, SUMMARY, PLOT, FIELDS = FILES = (
     "gradient.png",
     "gradient.xdmf",
 )
-_MOST = 12
-"""Bars of one number."""
-_INK = "#1f5f8b"
 
 
 def default_folder(case: Case) -> Path:
@@ -55,7 +48,7 @@ def write_gradient(found: Found, folder: Path) -> list[str]:
     """
     table, comm = GradientTable(found.gradients), found.problem.body.comm
     names, written = _field_names(found), [TABLE, SUMMARY]
-    written += [PLOT] * _shown(table) + [FIELDS] * bool(names)
+    written += [PLOT] * table.drawable + [FIELDS] * bool(names)
 
     def texts() -> None:
         make_folder(folder)
@@ -64,8 +57,8 @@ def write_gradient(found: Found, folder: Path) -> list[str]:
         replace_text(folder / TABLE, csv_text(table.columns()))
         text = json.dumps(json_data(table.columns()), indent=2, allow_nan=False)
         replace_text(folder / SUMMARY, text + "\n")
-        if _shown(table):
-            draw(table, folder / PLOT)
+        if table.drawable:
+            table.plot(folder / PLOT)
 
     on_root(comm, texts)
     if names:
@@ -92,48 +85,3 @@ def _field_names(found: Found) -> list[str]:
             names.append(f"{plain} by shape")
             body.fields[names[-1]] = MeshField("point", np.ascontiguousarray(one.nodes))
     return names
-
-
-def _shown(table: GradientTable) -> bool:
-    return any(math.isfinite(relative(one, d)) for one in table.gradients for d in one.by)
-
-
-@plain_matplotlib()
-def draw(table: GradientTable, path: Path) -> None:
-    """Bars: by how much a number changes where a parameter is 1 % larger. Not collective.
-
-    Raises:
-        OutputError: It cannot be written.
-    """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    panels = [
-        (one, sorted(rows, key=lambda row: abs(row[1]))[-_MOST:])
-        for one in table.gradients
-        if (rows := [(d.key, r) for d in one.by if math.isfinite(r := relative(one, d))])
-    ]
-    heights = [0.5 + 0.32 * len(rows) for _, rows in panels]
-    figure = Figure(figsize=(7, 0.6 + sum(heights) + 0.5 * len(panels)), layout="constrained")
-    FigureCanvasAgg(figure)
-    axes = figure.subplots(len(panels), 1, squeeze=False, height_ratios=heights)[:, 0]
-    for axis, (one, rows) in zip(axes, panels, strict=True):
-        axis.barh([literal(key) for key, _ in rows], [r for _, r in rows], color=_INK, height=0.6)
-        axis.axvline(0.0, color="0.3", linewidth=0.8)
-        axis.set_title(literal(f"{one.name} = {quantity(one.value, one.unit)}"), fontsize=10)
-        axis.margins(x=0.2)
-        for side in ("top", "right", "left"):
-            axis.spines[side].set_visible(False)
-        for place, (_, r) in enumerate(rows):
-            axis.annotate(
-                f"{r:+.2g} %" if r else "0",
-                (r, place),
-                xytext=(4 if r >= 0 else -4, 0),
-                textcoords="offset points",
-                va="center",
-                ha="left" if r >= 0 else "right",
-                fontsize=8,
-            )
-    axes[-1].set_xlabel("change [%] where the parameter is 1 % larger")
-    with drafted(path) as draft:
-        figure.savefig(draft, format="png", dpi=130)

@@ -450,6 +450,52 @@ def test_frequencies() -> None:
     np.testing.assert_allclose(told, slopes, rtol=1e-5)  # of second order
 
 
+@pytest.mark.parametrize("law", ["linear-elastic", "neo-hookean"])
+def test_load_factors(law: str) -> None:
+    """A strut with sides of different thickness: constants, loads, a cell's modulus, the shape."""
+    tables = {
+        "mesh": {"box": {"size": [2, 0.3, 0.2], "cells": [6, 2, 2]}, "degree": 2},
+        "materials": {"steel": {"law": law, "E": "2 GPa", "nu": 0.3}},
+        "support": [{"on": "left"}],
+        "load": [
+            {"on": "right", "kind": "traction", "value": ["-1 MPa", 0, 0]},
+            {"on": "top", "kind": "traction", "value": [0, 0, "-10 kPa"]},
+        ],
+        "buckling": {"count": 2},
+    }
+    case, of = Case.from_dict(tables), ["load_factor_1"]
+    keys = {"materials.steel.E": (2.0, "GPa"), "materials.steel.nu": (0.3, "")}
+    keys |= {"load[0].value[0]": (-1.0, "MPa"), "load[1].value[2]": (-10.0, "kPa")}
+    (found,) = gradient(case, of, [*keys], fields=["materials.steel.E"], offsets=["top"]).gradients
+
+    def at(key: str, k: int) -> float:
+        value, unit = keys[key]
+        number = value * (1 + k * 1e-3)
+        changed = case.changed({key: f"{number!r} {unit}" if unit else number})
+        return gradient(changed, of).gradients[0].value
+
+    for number, key in enumerate(keys):
+        slope = (8 * (at(key, 1) - at(key, -1)) - (at(key, 2) - at(key, -2))) / (12 * 1e-3)
+        told = found.by[number].at * found.by[number].value
+        # Load factors are known to 1e-9, their differences to 1e-6.
+        assert told == pytest.approx(slope, rel=1e-5, abs=2e-6 * found.value)
+    # Proportional to E, and to 1 over both loads together.
+    assert 2.0 * found["materials.steel.E"].value == pytest.approx(found.value, rel=1e-7)
+    loads = sum(found[key].at * found[key].value for key in [*keys][2:])
+    assert loads == pytest.approx(-found.value, rel=1e-7)
+    whole = total(COMM, float(found.cells["materials.steel.E"].sum()))
+    assert whole == pytest.approx(found.value, rel=1e-7)
+
+    def thicker(distance: float) -> float:
+        body = case.read_body(COMM)
+        x = body.mesh.geometry.x
+        x[np.isclose(x[:, 2], 0.2), 2] += distance
+        return gradient(case, of, body=body).gradients[0].value
+
+    slope = (thicker(2e-4) - thicker(-2e-4)) / 4e-4
+    assert found["offset of top"].value == pytest.approx(slope, rel=1e-4)  # of second order
+
+
 def test_frequencies_without_derivative() -> None:
     """The mode behind the last one is found, too; a stretch across the plane is an unknown."""
     steel = {"law": "linear-elastic", "E": "2 GPa", "nu": 0.3, "density": 1000}
