@@ -89,6 +89,7 @@ def test_a_bar_in_free_vibration_is_damped() -> None:
     assert not states[-1].failure
 
 
+@pytest.mark.long
 @pytest.mark.sample(1)
 def test_explicit_and_implicit_agree() -> None:
     """Strong damping; lumped and consistent mass differ by the square of the mesh size."""

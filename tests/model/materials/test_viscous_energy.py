@@ -169,6 +169,7 @@ def lost_in_a_cycle(steps: int) -> float:
     return float(lost[-1] - lost[-1 - steps])
 
 
+@pytest.mark.long
 def test_a_cycle_loses_the_loss_modulus() -> None:
     """pi G'' s^2, Ferry (1980), chapter 1, (47), to second order.
 

@@ -64,6 +64,7 @@ def test_a_standard_linear_solid(monkeypatch: pytest.MonkeyPatch) -> None:
     assert np.array(coarse[3:]) / fine[3:] == pytest.approx(4, rel=0.15)
 
 
+@pytest.mark.long
 def test_a_rate_of_ones_own_is_as_the_law_that_is_built_in(tmp_path: Path) -> None:
     """A Maxwell branch by its rate, whose times are not told, beside one of small deviation.
 

@@ -450,6 +450,7 @@ def test_frequencies() -> None:
     np.testing.assert_allclose(told, slopes, rtol=1e-5)  # of second order
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("law", ["linear-elastic", "neo-hookean"])
 def test_load_factors(law: str) -> None:
     """A strut with sides of different thickness: constants, loads, a cell's modulus, the shape."""

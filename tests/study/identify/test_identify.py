@@ -64,6 +64,7 @@ def computed(case: Case, sets: list[Measured], keys: list[str]) -> list[Any]:
     return [replace(one, values=v) for one, v in zip(sets, found, strict=True)]
 
 
+@pytest.mark.long
 def test_constants_come_back_from_a_curve_and_a_field() -> None:
     """At the end and halfway, from values that are off by a factor of two."""
     half = replace(FIELD, times=np.full(9, 0.5), components=(0,), values=np.ones((9, 1)))

@@ -90,6 +90,7 @@ def test_penalties_and_their_slopes(kind: Any) -> None:
         assert value == pytest.approx(25.0 * 2 / np.linalg.norm(apart), rel=1e-9)
 
 
+@pytest.mark.long
 def test_a_known_field_comes_back() -> None:
     """Halves of 1 and 3 kPa, of the mesh's own displacements: to 3 % (1.1 % were seen)."""
     field = displaced(block("where(y < 0.5, 1000, 3000)"))
@@ -166,6 +167,7 @@ def test_fields_without_a_solution_are_left(monkeypatch: pytest.MonkeyPatch) -> 
         identify_field(block("1 kPa"), field, KEY, weight=1e-6)
 
 
+@pytest.mark.long
 def test_the_case_that_is_written_has_the_field(tmp_path: Path) -> None:
     folder = on_root(WORLD, lambda: tmp_path)
     field = displaced(block("where(y < 0.5, 1000, 3000)"))

@@ -205,6 +205,7 @@ def test_what_was_measured_beyond_the_run_and_beside_states(tmp_path: Path) -> N
         identify(case, alone, ["materials.steel.E"])
 
 
+@pytest.mark.long
 def test_the_command_and_its_files(tmp_path: Path) -> None:
     """The case that is written runs, and has the value that was found."""
     (tmp_path / "case.toml").write_text(CASE)

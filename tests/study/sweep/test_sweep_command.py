@@ -150,6 +150,7 @@ def test_bad_input(tmp_path: Path, words: list[str], message: str) -> None:
     assert os.listdir(tmp_path) == ["case.toml"]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("jobs", ["1", "2"])
 def test_failed_rows_are_tried_again(tmp_path: Path, jobs: str) -> None:
     """Once, by the first process; without the option the table is all that is written."""
