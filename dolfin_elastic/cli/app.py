@@ -15,7 +15,6 @@ import time
 import traceback
 from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import click
@@ -29,7 +28,7 @@ from dolfin_elastic.cli.import_deck import import_deck
 from dolfin_elastic.cli.look.command import look
 from dolfin_elastic.cli.materials import material, materials
 from dolfin_elastic.cli.pipes import guard_output, lost_output
-from dolfin_elastic.cli.run import Trust, collect_garbage, log_to_screen, restart, run
+from dolfin_elastic.cli.run import CaseFile, Trust, collect_garbage, log_to_screen, restart, run
 from dolfin_elastic.cli.sweep import sweep
 from dolfin_elastic.cli.tools.convert import convert
 from dolfin_elastic.cli.tools.files import new, schema
@@ -142,7 +141,6 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-CaseFile = Annotated[Path, typer.Argument(metavar="CASE", hidden=True)]
 
 
 def _print_version(wanted: bool) -> None:

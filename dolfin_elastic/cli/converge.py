@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from click.exceptions import Exit
 
-from dolfin_elastic.cli.run import AUDIT_FAILED, Petsc, Quiet, Trust, begin
+from dolfin_elastic.cli.run import AUDIT_FAILED, CaseFile, Output, Petsc, Quiet, Trust, begin
 from dolfin_elastic.core.errors import StoppedError, check_kept
 from dolfin_elastic.core.petsc_options import parse_arguments
 from dolfin_elastic.core.signals import INTERRUPTED, Stop
@@ -26,7 +26,7 @@ NOT_REACHED = 6
 
 
 def converge(
-    case: Annotated[Path, typer.Argument(metavar="CASE", hidden=True)],
+    case: CaseFile,
     petsc: Petsc = None,
     *,
     until: Annotated[
@@ -49,9 +49,7 @@ def converge(
             show_default="500 000",
         ),
     ] = 5e5,
-    output: Annotated[
-        Path | None, typer.Option("--output", "-o", metavar="DIR", help="Folder of the results.")
-    ] = None,
+    output: Output = None,
     trust: Trust = False,
     quiet: Quiet = False,
 ) -> None:

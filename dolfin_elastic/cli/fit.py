@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, TypeAlias
 import typer
 
 from dolfin_elastic.cli.fit_case import CaseFit, check_of_case, interval_text, refuse_earlier
+from dolfin_elastic.cli.run import Output
 from dolfin_elastic.core.errors import CaseError, SolveError, check_kept, nearest
 from dolfin_elastic.core.startup.libraries import start
 
@@ -96,9 +97,7 @@ def fit(
     stable: Annotated[
         bool, typer.Option("--stable", help="A law that is stable over the range of the tests.")
     ] = False,
-    output: Annotated[
-        Path | None, typer.Option("--output", "-o", metavar="DIR", help="Folder of the results.")
-    ] = None,
+    output: Output = None,
     force: Annotated[bool, typer.Option("--force", help="Overwrite an earlier fit.")] = False,
     json: Annotated[bool, typer.Option("--json", help="Print JSON, for scripts.")] = False,
 ) -> None:

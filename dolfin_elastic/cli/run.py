@@ -32,6 +32,10 @@ if TYPE_CHECKING:
 AUDIT_FAILED = 5
 """Exit code of a run that came to its end and is not to be relied on."""
 
+CaseFile = Annotated[Path, typer.Argument(metavar="CASE", hidden=True)]
+Output = Annotated[
+    Path | None, typer.Option("--output", "-o", metavar="DIR", help="Folder of the results.")
+]
 Petsc = Annotated[list[str] | None, typer.Argument(metavar="[-- PETSC...]", hidden=True)]
 Profile = Annotated[bool, typer.Option("--profile", help="Show where time and memory went.")]
 Trust = Annotated[
@@ -46,12 +50,10 @@ Json = Annotated[
 
 
 def run(
-    case: Annotated[Path, typer.Argument(metavar="CASE", hidden=True)],
+    case: CaseFile,
     petsc: Petsc = None,
     *,
-    output: Annotated[
-        Path | None, typer.Option("--output", "-o", metavar="DIR", help="Folder of the results.")
-    ] = None,
+    output: Output = None,
     profile: Profile = False,
     trust: Trust = False,
     quiet: Quiet = False,

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from click.exceptions import Exit
 
-from dolfin_elastic.cli.run import AUDIT_FAILED, Petsc, Quiet, Trust, begin
+from dolfin_elastic.cli.run import AUDIT_FAILED, CaseFile, Output, Petsc, Quiet, Trust, begin
 from dolfin_elastic.core.errors import InputError, StoppedError, check_kept
 from dolfin_elastic.core.petsc_options import parse_arguments
 from dolfin_elastic.core.signals import INTERRUPTED, Stop
@@ -36,7 +36,7 @@ _PAGE = "sweep.html"
 
 
 def sweep(
-    case: Annotated[Path, typer.Argument(metavar="CASE", hidden=True)],
+    case: CaseFile,
     petsc: Petsc = None,
     *,
     settings: Annotated[
@@ -71,9 +71,7 @@ def sweep(
     ] = False,
     row: Annotated[int | None, typer.Option("--row", min=1, metavar="K", hidden=True)] = None,
     worker: Annotated[bool, typer.Option("--worker", hidden=True)] = False,
-    output: Annotated[
-        Path | None, typer.Option("--output", "-o", metavar="DIR", help="Folder of the results.")
-    ] = None,
+    output: Output = None,
     trust: Trust = False,
     quiet: Quiet = False,
 ) -> None:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from dolfin_elastic.cli.run import Petsc, Quiet, Trust, begin
+from dolfin_elastic.cli.run import CaseFile, Output, Petsc, Quiet, Trust, begin
 from dolfin_elastic.core.errors import InputError, check_kept
 from dolfin_elastic.core.petsc_options import parse_arguments
 from dolfin_elastic.core.signals import Stop
@@ -23,7 +23,7 @@ _WRONG = 1.9
 
 
 def gradient(
-    case: Annotated[Path, typer.Argument(metavar="CASE", hidden=True)],
+    case: CaseFile,
     petsc: Petsc = None,
     *,
     of: Annotated[
@@ -45,9 +45,7 @@ def gradient(
     verify: Annotated[
         bool, typer.Option("--verify", help="Solve twice more for each parameter, to see it.")
     ] = False,
-    output: Annotated[
-        Path | None, typer.Option("--output", "-o", metavar="DIR", help="Folder of the results.")
-    ] = None,
+    output: Output = None,
     trust: Trust = False,
     quiet: Quiet = False,
 ) -> None:
