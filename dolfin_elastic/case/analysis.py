@@ -90,6 +90,10 @@ class AnalysisTables(ModelTables):
         given = self.given
         return tuple(self._only(one) for one in given) if len(given) > 1 else (self,)
 
+    def first_of(self, *kinds: str) -> Self:
+        """The first analysis of these kinds as a case of its own; this one if there is none."""
+        return next((one for one in self.analyses() if one.analysis in kinds), self)
+
     def _only(self, analysis: Analysis) -> Self:
         keys: dict[str, object] = {key: None for key in ANALYSES if key != analysis}
         modes, motion = analysis in ("modal", "buckling"), analysis == "dynamics"

@@ -242,6 +242,15 @@ class Case(AnalysisTables):
             whole = Path(f"{self.name}_results")
         return whole if self.whole is self else whole / self.analysis
 
+    def folder_beside(self, end: str) -> Path:
+        """Folder of what a command other than `run` computes: with another end of the name.
+
+        Args:
+            end: Such as "sweep", in place of "results".
+        """
+        folder = self.whole.results_folder()
+        return folder.with_name(f"{folder.name.removesuffix('_results')}_{end}")
+
 
 def read_case(
     path: str | PathLike[str], *, comm: MPI.Comm = MPI.COMM_WORLD, trust: bool = False

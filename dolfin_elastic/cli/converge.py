@@ -72,14 +72,14 @@ def converge(
     start(at_start)
     from dolfin_elastic.case.case import read_case
     from dolfin_elastic.results.writers.summary import mark_stopped
-    from dolfin_elastic.study.converge.converge import Goal, default_folder
+    from dolfin_elastic.study.converge.converge import Goal
     from dolfin_elastic.study.converge.converge import converge as converge_case
     from dolfin_elastic.study.wanted import Wanted, tolerance
 
     goal = Goal(Wanted.read(until[0]), tolerance(until[1]), refinements, int(unknowns))
     comm = begin(quiet)
     read = read_case(case, comm=comm, trust=trust)
-    folder = output if output is not None else default_folder(read)
+    folder = output if output is not None else read.folder_beside("converged")
     check_kept(folder, "--output" if output is not None else "output.folder")
     visible = comm.rank == 0 and not quiet
     shown, progress = 0, None

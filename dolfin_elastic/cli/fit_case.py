@@ -46,11 +46,11 @@ class CaseFit:
         from dolfin_elastic.case.check.rest import read_case
         from dolfin_elastic.cli.run import begin
         from dolfin_elastic.core.parallel import on_root
-        from dolfin_elastic.study.identify.written import default_folder, files_of
+        from dolfin_elastic.study.identify.written import files_of
 
         comm = begin(quiet=True)
         case = read_case(self.file, comm=comm)
-        folder = self.output if self.output is not None else default_folder(case)
+        folder = self.output if self.output is not None else case.folder_beside("fitted")
         check_kept(folder, "--output")
         if not self.force:
             on_root(comm, lambda: refuse_earlier(files_of(case.name, folder)))

@@ -98,11 +98,11 @@ def sweep(
     from dolfin_elastic.case.check.rest import read_case
     from dolfin_elastic.core.parallel import on_root
     from dolfin_elastic.study.sweep.settings import design, read_setting, with_means
-    from dolfin_elastic.study.sweep.sweep import default_folder, planned
+    from dolfin_elastic.study.sweep.sweep import planned
 
     comm = begin(quiet=True)
     read = read_case(case, comm=comm, trust=trust)
-    folder = output if output is not None else default_folder(read)
+    folder = output if output is not None else read.folder_beside("sweep")
     check_kept(folder, "--output" if output is not None else "output.folder")
     if comm.size > 1 and jobs > 1:
         raise InputError(

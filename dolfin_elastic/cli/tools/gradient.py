@@ -70,7 +70,7 @@ def gradient(
     from dolfin_elastic.case.case import read_case
     from dolfin_elastic.study.gradient.gradient import Asked, gradients_of
     from dolfin_elastic.study.gradient.table import GradientTable
-    from dolfin_elastic.study.gradient.written import default_folder, write_gradient
+    from dolfin_elastic.study.gradient.written import write_gradient
 
     asked = Asked(*(tuple(dict.fromkeys(names or ())) for names in (of, by, field, offset)))
     if not (asked.by or asked.fields or asked.offsets):
@@ -81,7 +81,7 @@ def gradient(
         )
     comm = begin(quiet)
     read = read_case(case, comm=comm, trust=trust)
-    folder = output if output is not None else default_folder(read)
+    folder = output if output is not None else read.folder_beside("gradient")
     check_kept(folder, "--output" if output is not None else "output.folder")
     Stop(folder)
     found = gradients_of(read, asked, petsc=options, verify=verify, comm=comm)

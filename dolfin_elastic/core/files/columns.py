@@ -3,13 +3,25 @@
 from __future__ import annotations
 
 import csv
+import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from dolfin_elastic.core.errors import InputError, nearest, nearest_file, not_shown, why_no_file
-from dolfin_elastic.core.units import is_quantity
+import numpy as np
+
+from dolfin_elastic.core.errors import (
+    CaseError,
+    InputError,
+    UnitError,
+    nearest,
+    nearest_file,
+    not_shown,
+    why_no_file,
+)
+from dolfin_elastic.core.types import FloatArray
+from dolfin_elastic.core.units import is_quantity, to_si
 
 _MOST_BYTES = 1 << 26
 _HEAD = re.compile(r"(?P<name>[^\[(]*?)\s*[\[(]\s*(?P<unit>[^\])]*?)\s*[\])]\s*")
@@ -72,6 +84,34 @@ class CsvTable:
                         expected="decimal points, not commas" if comma else "for example 0.1, 2.5",
                     )
         return result
+
+
+def numbers(
+    table: CsvTable, index: int, unit: str, where: str, *, factor: float = 1.0
+) -> FloatArray:
+    """A column in SI units, shape (n,).
+
+    Args:
+        unit: SI unit of its numbers, in which texts with a unit are read; empty: pure numbers.
+        where: File and column, for messages.
+        factor: SI units per unit of bare numbers.
+
+    Raises:
+        CaseError: A cell is no finite number; with its line.
+    """
+    result = []
+    for line, row in table.rows:
+        cell = row[index] if index < len(row) else ""
+        try:
+            result.append(factor * float(cell) if is_number(cell) else to_si(cell, unit))
+        except UnitError as error:
+            hint = "decimal points" if "," in cell else "a number, for example 1.5"
+            what = f"line {line}: {error.what if cell else 'the cell is empty'}"
+            raise CaseError(what, where=where, expected=hint) from None
+        if not math.isfinite(result[-1]):
+            what = f"line {line}: '{cell}' is not a finite number"
+            raise CaseError(what, where=where, expected="leave the line out")
+    return np.array(result)
 
 
 def read_csv(path: Path) -> CsvTable:

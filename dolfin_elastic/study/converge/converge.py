@@ -143,9 +143,11 @@ def converge(
         OutputError: Results cannot be written.
         StoppedError: A signal has asked for the end; the results of the mesh before are complete.
     """
-    case = next((one for one in case.analyses() if one.analysis == "statics"), case)
+    case = case.first_of("statics")
     _check_kind(case)
-    yield from loop_together(comm, _locked(case, goal, output or default_folder(case), petsc, comm))
+    yield from loop_together(
+        comm, _locked(case, goal, output or case.folder_beside("converged"), petsc, comm)
+    )
 
 
 def _locked(
@@ -157,12 +159,6 @@ def _locked(
         if comm.rank == 0:
             remove_stop_file(folder)
         yield from _Convergence(case, goal, folder, dict(petsc or {}), comm, lock).levels()
-
-
-def default_folder(case: Case) -> Path:
-    """Folder of the results of `converge`."""
-    folder = case.whole.results_folder()
-    return folder.with_name(f"{folder.name.removesuffix('_results')}_converged")
 
 
 def _check_kind(case: Case) -> None:

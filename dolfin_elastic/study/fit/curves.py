@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 
 from dolfin_elastic.core.errors import CaseError, InputError, UnitError, nearest
-from dolfin_elastic.core.files.columns import CsvTable, heading, is_number, read_csv
+from dolfin_elastic.core.files.columns import CsvTable, heading, is_number, numbers, read_csv
 from dolfin_elastic.core.types import FloatArray
-from dolfin_elastic.core.units import to_si, unit_to_si
+from dolfin_elastic.core.units import unit_to_si
 from dolfin_elastic.model.point.homogeneous_tests import DEFORMATION_MODES, DeformationMode
 
 
@@ -290,19 +290,7 @@ def _numbers(
             raise CaseError(error.what, where=where, expected=error.expected) from None
     if not table.rows:
         raise CaseError("there are headings but no numbers", where=where)
-    result = []
-    for line, row in table.rows:
-        cell = row[index] if index < len(row) else ""
-        try:
-            result.append(factor * float(cell) if is_number(cell) else to_si(cell, meaning.unit))
-        except UnitError as error:
-            hint = "decimal points" if "," in cell else "a number, for example 1.5"
-            what = f"line {line}: {error.what if cell else 'the cell is empty'}"
-            raise CaseError(what, where=where, expected=hint) from None
-        if not np.isfinite(result[-1]):
-            what = f"line {line}: '{cell}' is not a finite number"
-            raise CaseError(what, where=where, expected="leave the line out")
-    return np.array(result)
+    return numbers(table, index, meaning.unit, where, factor=factor)
 
 
 def _checked(

@@ -22,7 +22,12 @@ from dolfin_elastic.study.fit.model import Model
 from dolfin_elastic.study.fit.remarks import remarks
 from dolfin_elastic.study.fit.stable import STABLE, Stabilised, stability
 from dolfin_elastic.study.least_squares.certainty import certainty
-from dolfin_elastic.study.least_squares.fitted import FittedConstant, constant_of, fitted_constants
+from dolfin_elastic.study.least_squares.fitted import (
+    FittedConstant,
+    constant_of,
+    fitted_constants,
+    rms,
+)
 from dolfin_elastic.study.least_squares.problem import Constant
 from dolfin_elastic.study.least_squares.search import Answer, search
 
@@ -57,7 +62,7 @@ class FittedCurve:
     @property
     def rms(self) -> float:
         """Root mean square of the differences [Pa]."""
-        return float(np.sqrt(np.mean((self.stress - self.measured.stress) ** 2)))
+        return rms(self.stress - self.measured.stress)
 
     @property
     def relative(self) -> float:
@@ -221,7 +226,7 @@ def _cost(model: Model, free: FloatArray, found: Answer) -> Iterator[str]:
         return
     errors = [
         [
-            percent(float(np.sqrt(np.mean((P - curve.stress) ** 2)) / np.abs(curve.stress).max()))
+            percent(FittedCurve(curve, P).relative)
             for curve, P in zip(model.curves, model.by_curve(stresses), strict=True)
         ]
         for stresses in model.stresses(np.array([free, found.z]))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -61,10 +61,8 @@ class Model(LeastSquares):
     def _both(self, z: FloatArray) -> tuple[FloatArray, FloatArray]:
         """The two, found together: a test of many sets takes hardly longer than of one."""
         if self._last is None or not np.array_equal(self._last[0], z):
-            sets, apart = central(z, self.low, self.high)
-            k, found = len(z), self.stresses(sets)
-            slopes = ((found[1 : k + 1] - found[k + 1 :]) / apart[:, None]).T
-            residuals = self.weights * (found[0] - self.measured)
+            found, slopes = differentiated(self.stresses, z, self.low, self.high)
+            residuals = self.weights * (found - self.measured)
             self._last = z.copy(), residuals, self.weights[:, None] * slopes
         return self._last[1], self._last[2]
 
@@ -131,14 +129,23 @@ class Model(LeastSquares):
         return super()._drawn(index, draw)
 
 
-def central(z: FloatArray, low: FloatArray, high: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """z, and beside it the sets of central differences that stay within bounds.
+def differentiated(
+    function: Callable[[FloatArray], FloatArray], z: FloatArray, low: FloatArray, high: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """A function of sets of constants at one, and its derivatives there, by central differences.
+
+    Args:
+        function: Of rows of constants, shape (m, k), gives rows, shape (m, n).
+        z: Shape (k,).
+        low: Least values, within which the differences stay.
+        high: Largest values, the same.
 
     Returns:
-        z, those above and those below in each constant, shape (1 + 2 k, k); how far the last two
-        are apart, shape (k,).
+        Shapes (n,) and (n, k).
     """
-    steps = _STEP * np.maximum(np.abs(z), 0.1)
+    steps, k = _STEP * np.maximum(np.abs(z), 0.1), len(z)
     above = np.minimum(z + np.diag(steps), high)
     below = np.maximum(z - np.diag(steps), low)
-    return np.vstack([z, above, below]), np.diag(above - below)
+    found = function(np.vstack([z, above, below]))
+    apart = np.diag(above - below)
+    return found[0], ((found[1 : k + 1] - found[k + 1 :]) / apart[:, None]).T

@@ -28,7 +28,7 @@ from dolfin_elastic.model.point.tested import with_finite_moduli
 from dolfin_elastic.model.point.ufl_to_numpy import LawAtPoints
 from dolfin_elastic.study.fit.curves import TestCurve
 from dolfin_elastic.study.fit.homogeneous import HomogeneousTests
-from dolfin_elastic.study.fit.model import Model, central
+from dolfin_elastic.study.fit.model import Model, differentiated
 from dolfin_elastic.study.least_squares.search import Answer, spread
 
 _GRID = 16
@@ -151,10 +151,7 @@ class _Penalised:
     def _both(self, z: FloatArray) -> tuple[FloatArray, FloatArray]:
         if self._last is None or not np.array_equal(self._last[0], z):
             model = self._model
-            sets, apart = central(z, model.low, model.high)
-            k, found = len(z), self.lacks(sets)
-            slopes = ((found[1 : k + 1] - found[k + 1 :]) / apart[:, None]).T
-            self._last = z.copy(), found[0], slopes
+            self._last = z.copy(), *differentiated(self.lacks, z, model.low, model.high)
         root = np.sqrt(self.weight)
         return (
             np.concatenate([self._model.residuals(z), root * self._last[1]]),

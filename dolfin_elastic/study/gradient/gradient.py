@@ -38,7 +38,6 @@ from dolfin_elastic.study.gradient.parameters import (
     Equilibrium,
     Sides,
     parameters,
-    quietly,
 )
 from dolfin_elastic.study.gradient.spatial import (
     OFFSET,
@@ -49,6 +48,7 @@ from dolfin_elastic.study.gradient.spatial import (
 )
 from dolfin_elastic.study.gradient.table import Derivative, Gradient, GradientTable
 from dolfin_elastic.study.gradient.taylor import with_orders
+from dolfin_elastic.study.quiet import quietly
 
 
 @dataclass(frozen=True)
@@ -270,7 +270,7 @@ def gradients_of(
     if not asked.of:
         raise InputError("no number is given", where="--of", expected="for example strain_energy")
     analyses = {analysis_of(name) for name in asked.of}
-    case = next((one for one in case.analyses() if one.analysis in analyses), case)
+    case = case.first_of(*analyses)
     if {case.analysis} != analyses:
         raise InputError(
             "gradients are those of frequencies alone, with [modal], of load factors alone, with "

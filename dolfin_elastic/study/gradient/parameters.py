@@ -9,10 +9,8 @@ Source of the differences: B. Fornberg, Math. Comp. 51 (1988) 699, table 1.
 
 from __future__ import annotations
 
-import logging
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol
 
@@ -30,11 +28,11 @@ from dolfin_elastic.solvers.assembly.assembler import Assembler, Reactions, Resi
 from dolfin_elastic.solvers.assembly.dofs import ConstrainedDofs
 from dolfin_elastic.solvers.nonlinear.newton import Newton, scalar_unknowns
 from dolfin_elastic.study.gradient.functionals import Functional
+from dolfin_elastic.study.quiet import quietly
 
 if TYPE_CHECKING:
     from dolfin_elastic.case.case import Case
 
-log = logging.getLogger("dolfin_elastic")
 STEP = 1e-4
 """Of the differences, relative to the value, or to its distance from what is impossible."""
 WEIGHTS = {-2: 1 / 12, -1: -2 / 3, 1: 2 / 3, 2: -1 / 12}
@@ -245,17 +243,6 @@ class CaseNumber(Parameter):
         with quietly():  # what making it says was said before
             problem = changed.make_problem(self._body)
         return basis.on(problem)
-
-
-@contextmanager
-def quietly() -> Iterator[None]:
-    """Inside, no more than errors are logged: of solutions and problems that are like others."""
-    level = log.level
-    log.setLevel(logging.ERROR)
-    try:
-        yield
-    finally:
-        log.setLevel(level)
 
 
 def move_prescribed(dofs: ConstrainedDofs) -> None:

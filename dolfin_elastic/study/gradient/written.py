@@ -18,7 +18,7 @@ from dolfin_elastic.study.gradient.table import GradientTable
 from dolfin_elastic.study.tabled import csv_text
 
 if TYPE_CHECKING:
-    from dolfin_elastic.case.case import Case
+    pass
 
 TABLE, SUMMARY, PLOT, FIELDS = FILES = (
     "gradient.csv",
@@ -26,12 +26,6 @@ TABLE, SUMMARY, PLOT, FIELDS = FILES = (
     "gradient.png",
     "gradient.xdmf",
 )
-
-
-def default_folder(case: Case) -> Path:
-    """Folder of the results of `gradient`."""
-    folder = case.whole.results_folder()
-    return folder.with_name(f"{folder.name.removesuffix('_results')}_gradient")
 
 
 def write_gradient(found: Found, folder: Path) -> list[str]:

@@ -191,7 +191,7 @@ class _Search:
         comm: MPI.Comm,
         told: Callable[[str], None],
     ) -> None:
-        case = next((one for one in case.analyses() if one.analysis == "statics"), case)
+        case = case.first_of("statics")
         if case.analysis != "statics":
             raise CaseError(
                 "a field is sought in statics", where=case.file, expected="a case with [statics]"

@@ -19,7 +19,12 @@ from dolfin_elastic.study.identify.measured import Measured, MeasuredCurve, as_m
 from dolfin_elastic.study.identify.runs import Record, Runs
 from dolfin_elastic.study.identify.unknowns import Unknown, read_unknowns
 from dolfin_elastic.study.least_squares.certainty import Certainty, certainty
-from dolfin_elastic.study.least_squares.fitted import FittedConstant, constant_of, fitted_constants
+from dolfin_elastic.study.least_squares.fitted import (
+    FittedConstant,
+    constant_of,
+    fitted_constants,
+    rms,
+)
 from dolfin_elastic.study.least_squares.problem import LeastSquares
 from dolfin_elastic.study.least_squares.remarks import remarks_on
 from dolfin_elastic.study.least_squares.search import Answer, search
@@ -49,7 +54,7 @@ class ComparedSet:
     @property
     def rms(self) -> float:
         """Root mean square of the differences, SI units."""
-        return float(np.sqrt(np.mean((self.computed - self.measured.values) ** 2)))
+        return rms(self.computed - self.measured.values)
 
     @property
     def relative(self) -> float:

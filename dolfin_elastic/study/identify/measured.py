@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import itertools
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from dolfin_elastic.core.errors import CaseError, InputError, UnitError, nearest
-from dolfin_elastic.core.files.columns import CsvTable, heading, is_number, read_csv
+from dolfin_elastic.core.files.columns import CsvTable, heading, is_number, numbers, read_csv
 from dolfin_elastic.core.types import FloatArray, IntArray
-from dolfin_elastic.core.units import to_base, to_si, unit_to_si
+from dolfin_elastic.core.units import to_base, unit_to_si
 from dolfin_elastic.results.finished.run import column_unit
 from dolfin_elastic.study.wanted import Wanted
 
@@ -282,30 +282,15 @@ def _column(table: CsvTable, index: int, unit: str, file: str) -> tuple[FloatArr
     given = heading(head)[1]
     if given and not unit and heading(head)[0].casefold() in _TIMES:
         unit = "s"
-    factor, read = 1.0, _reader(unit)
+    factor = 1.0
     if given:
         try:
             factor = unit_to_si(given, unit) if unit else to_base(f"1 {given}")
         except UnitError as error:
             raise CaseError(error.what, where=where, expected=error.expected) from None
-    result, bare = [], bool(unit) and not given
-    for line, row in table.rows:
-        cell = row[index] if index < len(row) else ""
-        try:
-            result.append(factor * float(cell) if is_number(cell) else read(cell))
-        except UnitError as error:
-            hint = "decimal points" if "," in cell else "a number, for example 1.5"
-            what = f"line {line}: {error.what if cell else 'the cell is empty'}"
-            raise CaseError(what, where=where, expected=hint) from None
-        if not np.isfinite(result[-1]):
-            what = f"line {line}: '{cell}' is not a finite number"
-            raise CaseError(what, where=where, expected="leave the line out")
-        bare = bare and is_number(cell)
-    return np.array(result), [head or f"column {index + 1}"] if bare else []
-
-
-def _reader(unit: str) -> Callable[[str], float]:
-    return lambda cell: to_si(cell, unit)
+    result = numbers(table, index, unit, where, factor=factor)
+    bare = bool(unit) and not given and all(is_number(row[index]) for _, row in table.rows)
+    return result, [head or f"column {index + 1}"] if bare else []
 
 
 # --- what a caller gives ---

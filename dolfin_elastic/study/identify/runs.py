@@ -25,6 +25,7 @@ from dolfin_elastic.study.identify.tangents import Tangents, differentiable
 from dolfin_elastic.study.identify.unknowns import Unknown
 from dolfin_elastic.study.wanted import Wanted, WantedNumber
 
+_WITH_STATES = ("statics", "dynamics")
 _STEP = 1e-3
 """Of central differences, over the value: their error is its square, beside that of the solver over
 it."""
@@ -160,14 +161,14 @@ class Runs:
 
     def _analysis(self, case: Case) -> Case:
         """The analysis that has states."""
-        found = [one for one in case.analyses() if one.analysis in ("statics", "dynamics")]
-        if not found:
+        found = case.first_of(*_WITH_STATES)
+        if found.analysis not in _WITH_STATES:
             raise CaseError(
                 "modes alone have no curves and no displacements to compare",
                 where=case.file,
                 expected="a case with [statics] or [dynamics]",
             )
-        return found[0]
+        return found
 
     # --- one run ---
 

@@ -38,12 +38,6 @@ def values_text(found: Identified) -> dict[str, object]:
     return {one.key: one.written(row.value, _DIGITS) for one, row in pairs}
 
 
-def default_folder(case: Case) -> Path:
-    """Folder of the files."""
-    folder = case.whole.results_folder()
-    return folder.with_name(f"{folder.name.removesuffix('_results')}_fitted")
-
-
 def files_of(name: str, folder: Path) -> list[Path]:
     """The files that a fit of a case, or the search for a field, may write.
 

@@ -41,6 +41,11 @@ class FittedConstant:
         return self.value - self.half, self.value + self.half
 
 
+def rms(off: FloatArray) -> float:
+    """Root mean square of differences."""
+    return float(np.sqrt(np.mean(off**2)))
+
+
 def fitted_constants(
     constants: Sequence[Constant], model: LeastSquares, z: FloatArray, known: Certainty
 ) -> tuple[FittedConstant, ...]:

@@ -327,7 +327,7 @@ def planned(
     """
     told = {name: Wanted.read(name, "--tell") for name in tell}
     cases = tuple(case.changed(values) for values in plan.rows)
-    folder = Path(output) if output is not None else default_folder(case)
+    folder = Path(output) if output is not None else case.folder_beside("sweep")
     options, bodies, contents = dict(petsc or {}), _Bodies(comm), files.Contents()
 
     def found() -> tuple[list[str], dict[str, Row]]:
@@ -390,9 +390,3 @@ def sweep(
         on_root(comm, partial(write_table, results, plot=True))
     results.check()
     return results
-
-
-def default_folder(case: Case) -> Path:
-    """Folder of the results of `sweep`."""
-    folder = case.whole.results_folder()
-    return folder.with_name(f"{folder.name.removesuffix('_results')}_sweep")

@@ -23,6 +23,7 @@ from dolfin_elastic.case.case import read_case
 from dolfin_elastic.case.run import run
 from dolfin_elastic.core.errors import ElasticError
 from dolfin_elastic.core.parallel import on_root
+from dolfin_elastic.study.quiet import quietly
 
 
 @dataclass(frozen=True)
@@ -122,7 +123,7 @@ def outcome(one: Verification, comm: MPI.Comm) -> Outcome:
         comm: The ranks that share it.
     """
     begin, value, message = time.monotonic(), None, ""
-    with _folder(one, comm) as folder, _silent():
+    with _folder(one, comm) as folder, quietly(logging.CRITICAL):
         try:
             for _ in run(read_case(folder / "case.toml", comm=comm), output=folder / "results"):
                 pass
@@ -166,15 +167,3 @@ def _folder(one: Verification, comm: MPI.Comm) -> Iterator[Path]:
     finally:
         comm.barrier()
         on_root(comm, lambda: rmtree(folder, ignore_errors=True))
-
-
-@contextmanager
-def _silent() -> Iterator[None]:
-    """Without the log of the runs."""
-    log = logging.getLogger("dolfin_elastic")
-    level = log.level
-    log.setLevel(logging.CRITICAL)
-    try:
-        yield
-    finally:
-        log.setLevel(level)
