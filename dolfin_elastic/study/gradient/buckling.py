@@ -26,21 +26,14 @@ from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.model.amplitude import PROPORTIONAL
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.problem.state import Mode
-from dolfin_elastic.solvers.assembly.assembler import (
-    Assembler,
-    Reactions,
-    Residual,
-    compiled,
-    integral,
-)
-from dolfin_elastic.solvers.assembly.dofs import ConstrainedDofs
+from dolfin_elastic.solvers.assembly.assembler import Assembler, compiled, integral
 from dolfin_elastic.solvers.linear.choice import choose, in_blocks
 from dolfin_elastic.solvers.nonlinear.adjoint import Adjoint
 from dolfin_elastic.solvers.nonlinear.convergence import Tolerance
 from dolfin_elastic.solvers.nonlinear.newton import Newton
 from dolfin_elastic.study.gradient.functionals import Functional
 from dolfin_elastic.study.gradient.modes import check_quotient, chosen
-from dolfin_elastic.study.gradient.parameters import Sides, move_prescribed
+from dolfin_elastic.study.gradient.parameters import Sides, move_prescribed, residual_of
 
 if TYPE_CHECKING:
     from dolfin_elastic.case.case import Case
@@ -110,7 +103,7 @@ class Prebuckling:
                 f"there is no gradient of modes with {what}", where="gradient", expected="`sweep`"
             )
         self.problem = problem
-        self.start()
+        at_rest(problem)
         options = {**case.solver.petsc, **(petsc or {})}
         choice = choose(problem, case.solver)
         self.assembler = Assembler(problem, iterated=in_blocks(choice, options))
@@ -120,15 +113,11 @@ class Prebuckling:
         self.before = fem.Function(problem.W)
         self.before.x.array[: self.assembler.size] = self.adjoint.step()
         self.before.x.scatter_forward()
-        self.start()
+        at_rest(problem)
         form = problem.weak_form
         self.residual = ufl.action(form.tangent, self.before)
         if form.external is not None:
             self.residual -= form.external
-
-    def start(self) -> None:
-        """Puts the problem at rest under its whole load. Collective."""
-        at_rest(self.problem)
 
     def close(self) -> None:
         """Frees what it owns. Collective."""
@@ -156,7 +145,7 @@ class LinearState:
 
     def evaluated(self) -> Sides:
         """Forces and load factors with the present constants. Collective."""
-        self._of.start()
+        at_rest(self._of.problem)
         residual = self._of.assembler.residual
         residual.assemble()  # minus the loads
         stiff = self._of.assembler.collect(assembled(self._stiff, self._of.problem.W))
@@ -165,14 +154,12 @@ class LinearState:
     def on(self, changed: Problem) -> Sides:
         """Of another problem, with the same modes. Collective."""
         at_rest(changed)
-        dofs = ConstrainedDofs(changed)
+        dofs, residual = residual_of(changed)
         before = fem.Function(changed.W)
         changed.w.x.array[:] = self._of.before.x.array
         move_prescribed(dofs)
         before.x.array[:] = changed.w.x.array
         at_rest(changed)
-        forces = Reactions(dofs, None, {}, None)
-        residual = Residual(dofs, changed.weak_form.residual, None, forces, None)
         residual.assemble()
         form = compiled(changed, [ufl.action(changed.weak_form.tangent, before)])[0]
         factors = [LoadFactor(one.name, changed, one.shape, before) for one in self._factors]

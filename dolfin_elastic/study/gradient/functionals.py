@@ -17,12 +17,12 @@ from functools import cached_property
 
 import numpy as np
 import ufl
-from dolfinx import fem, la
+from dolfinx import fem
 from mpi4py import MPI
 from ufl.core.expr import Expr
 
 from dolfin_elastic.core.errors import InputError
-from dolfin_elastic.core.ghosts import assembled
+from dolfin_elastic.core.ghosts import assembled, summed
 from dolfin_elastic.core.parallel import total
 from dolfin_elastic.core.types import FloatArray, IndexArray
 from dolfin_elastic.mesh.geometry.curved import shape_functions
@@ -159,7 +159,7 @@ class NodalFunctional(Functional):
     """A weighted sum of nodal displacements: at a point, or the mean of the nodes of a part.
 
     Args:
-        weights: Owned nodes and the weight of each.
+        weights: Local nodes of this rank and the weight of each; ranks are summed up.
         component: Number of the component; None: the length of the sum.
         point: Where it is evaluated, which stays there when nodes move; None: it is a mean.
     """
@@ -189,28 +189,31 @@ class NodalFunctional(Functional):
 
     def by_unknowns(self, assembler: Assembler) -> FloatArray:
         """See `Functional`."""
-        dim, dofs = self.problem.body.dim, assembler.displacement_dofs
-        rows = np.zeros((len(dofs) // dim, dim))
-        np.add.at(rows, self._nodes, self._weights[:, None] * self._along)
-        result = np.zeros(assembler.size)
-        result[dofs] = rows.reshape(-1)
-        return result
+        forces = self._weights[:, None] * self._along
+        rows = summed(self.problem.V.dofmap.index_map, self._nodes, forces)
+        return at_displacements(assembler, rows)
 
     def by_positions(self, V: fem.FunctionSpace) -> FloatArray | None:
         """See `Functional`: nodes that move carry the field past the point, dQ = -grad u dX."""
         if self._point is None:
             return None
         mesh, dim = self.problem.body.mesh, self.problem.body.dim
-        result = la.vector(V.dofmap.index_map, dim)
+        nodes, rows = np.empty(0, dtype=np.int32), np.empty((0, dim))
         if self._point.cell >= 0:
             cell, local = np.array([self._point.cell], dtype=np.int32), self._point.local[None]
             slope = fem.Expression(ufl.grad(self.problem.u), local, comm=MPI.COMM_SELF)
             slopes = slope.eval(mesh, cell).reshape(dim, dim)
-            shapes = shape_functions(mesh, local)[0]
-            rows = result.array.reshape(-1, dim)
-            rows[V.dofmap.list[cell[0]]] -= np.outer(shapes, self._along @ slopes)
-        result.scatter_reverse(la.InsertMode.add)
-        return np.asarray(result.array[: V.dofmap.index_map.size_local * dim])
+            nodes = V.dofmap.list[cell[0]]
+            rows = -np.outer(shape_functions(mesh, local)[0], self._along @ slopes)
+        whole = summed(V.dofmap.index_map, nodes, rows)
+        return whole[: V.dofmap.index_map.size_local].reshape(-1)
+
+
+def at_displacements(assembler: Assembler, rows: FloatArray) -> FloatArray:
+    """Rows of local nodes of the displacement, shape (nodes, dim), as owned entries of unknowns."""
+    result, dofs = np.zeros(assembler.size), assembler.displacement_dofs
+    result[dofs] = rows.reshape(-1)[: len(dofs)]
+    return result
 
 
 class ReactionFunctional(Functional):
@@ -363,22 +366,11 @@ def _reaction(text: str, wanted: Wanted, problem: Problem, component: int | None
 
 
 def _around(problem: Problem, point: LocatedPoint) -> tuple[IndexArray, FloatArray]:
-    """Owned nodes around a point, and their shape functions there. Collective.
-
-    Nodes of its cell that another rank owns are told by the rank that has the cell.
-    """
-    comm, V = problem.body.comm, problem.V
-    found: tuple[list[int], list[float]] = ([], [])
-    if point.cell >= 0:
-        table = V.element.basix_element.tabulate(0, point.local[None])[0, 0, :, 0]
-        nodes = V.dofmap.list[point.cell]
-        found = (V.dofmap.index_map.local_to_global(nodes).tolist(), table.tolist())
-    numbers, shapes = comm.bcast(found, root=point.rank)
-    first, last = V.dofmap.index_map.local_range
-    own = [k for k, number in enumerate(numbers) if first <= number < last]
-    return np.array([numbers[k] - first for k in own], dtype=np.int32), np.array(
-        [shapes[k] for k in own], dtype=np.float64
-    )
+    """Local nodes around a point, and their shape functions there; none on other ranks. Local."""
+    if point.cell < 0:
+        return np.empty(0, dtype=np.int32), np.empty(0)
+    table = problem.V.element.basix_element.tabulate(0, point.local[None])[0, 0, :, 0]
+    return problem.V.dofmap.list[point.cell], np.asarray(table, dtype=np.float64)
 
 
 def _mean(problem: Problem, part: str) -> tuple[IndexArray, FloatArray]:

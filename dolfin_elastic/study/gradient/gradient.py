@@ -86,7 +86,12 @@ class Gradients:
         case: Case | None = None,
         probes: Mapping[str, Sequence[float]] | None = None,
     ) -> None:
-        _check(problem)
+        if what := without_gradient(problem):
+            raise InputError(
+                f"there is no gradient {what}",
+                where="gradient",
+                expected="`sweep`, whose runs take the whole way",
+            )
         self.problem, self._of, self._probes = problem, asked.of, probes or {}
         self._functionals = self._numbers_of(problem)
         self._by = _By(asked, problem, case)
@@ -133,6 +138,7 @@ class _By:
             coefficient_of(key, problem)
         for surface in asked.offsets:
             nodes_moved(problem.body, surface)
+        self._offsets = dict[str, FloatArray]()
 
     def sides(self, basis: Basis) -> tuple[FloatArray, list[Sides]]:
         """Values, and what parameters change at fixed unknowns; functionals are left as they are.
@@ -160,7 +166,9 @@ class _By:
         """
         if self._cells is None:
             self._cells = [CellConstant(key, dofs, self._residual) for key in self._asked.fields]
-            self._shape = Shape(dofs, self._residual) if self._asked.offsets else None
+            if self._asked.offsets:
+                self._shape = Shape(dofs, self._residual)
+                self._offsets = {one: self._shape.offset(one) for one in self._asked.offsets}
         return tuple(
             self._gradient(one, float(values[number]), number, sides, solutions[number])
             for number, one in enumerate(functionals)
@@ -192,23 +200,16 @@ class _By:
         nodes = None
         if self._shape is not None:
             slopes = self._shape.by_positions(solution, functional)
-            for surface in self._asked.offsets:
-                along = total(self._comm, float(slopes @ self._shape.offset(surface)))
+            for surface, motion in self._offsets.items():
+                along = total(self._comm, float(slopes @ motion))
                 size = cell_size(self._shape.problem.body)
                 by.append(Derivative(f"{OFFSET}{surface}", 0.0, "m", along, size))
             nodes = self._shape.at_nodes(slopes)
-        iterations = 0 if solution is None else solution.iterations
-        return Gradient(
-            functional.name, value, functional.unit, tuple(by), cells, nodes, iterations
-        )
+        return Gradient(functional.name, value, functional.unit, tuple(by), cells, nodes)
 
 
-def _check(problem: Problem) -> None:
-    """Refuses what a state does not tell.
-
-    Raises:
-        InputError: The equilibrium depends on the way to it, or contact on unknown motions.
-    """
+def without_gradient(problem: Problem) -> str:
+    """What of a problem a state alone does not tell; empty: nothing. Not collective."""
     what = ""
     if problem.history is not None:
         what = "of materials that remember"
@@ -222,12 +223,7 @@ def _check(problem: Problem) -> None:
         pair.contact.plane is None for pair in problem.contact_pairs
     ):  # whose stiffness has a part of the curvature, which is no constraint
         what = "of contact but that with rigid planes"
-    if what:
-        raise InputError(
-            f"there is no gradient {what}",
-            where="gradient",
-            expected="`sweep`, whose runs take the whole way",
-        )
+    return what
 
 
 @dataclass(frozen=True)

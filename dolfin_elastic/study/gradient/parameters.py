@@ -104,9 +104,7 @@ class Equilibrium:
         _take_state(changed, self.problem, self.t)
         equations: FloatArray = np.zeros(0)
         if bordered is None:
-            dofs = ConstrainedDofs(changed)
-            forces = Reactions(dofs, None, {}, None)
-            residual = Residual(dofs, changed.weak_form.residual, None, forces, None)
+            dofs, residual = residual_of(changed)
             move_prescribed(dofs)
             residual.assemble()
         else:
@@ -243,6 +241,13 @@ class CaseNumber(Parameter):
         with quietly():  # what making it says was said before
             problem = changed.make_problem(self._body)
         return basis.on(problem)
+
+
+def residual_of(problem: Problem) -> tuple[ConstrainedDofs, Residual]:
+    """The forces of a problem without what a solution needs beside them. Collective."""
+    dofs = ConstrainedDofs(problem)
+    forces = Reactions(dofs, None, {}, None)
+    return dofs, Residual(dofs, problem.weak_form.residual, None, forces, None)
 
 
 def move_prescribed(dofs: ConstrainedDofs) -> None:

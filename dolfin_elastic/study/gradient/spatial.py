@@ -162,8 +162,6 @@ class Shape(_Field):
         InputError: Something depends on them in a way that is in no form.
     """
 
-    key = "shape"
-
     def __init__(self, dofs: ConstrainedDofs, residual: ufl.Form | None = None) -> None:
         super().__init__(dofs, residual)
         problem = self.problem
@@ -191,8 +189,7 @@ class Shape(_Field):
                 expected="tractions, total forces, pressures, gravity and fixed supports",
             )
         mesh = problem.body.mesh
-        degree = int(mesh.geometry.cmap.degree)
-        self.V = fem.functionspace(mesh, ("Lagrange", degree, (mesh.geometry.dim,)))
+        self.V = _positions(problem.body)
         self._x, self._test = ufl.SpatialCoordinate(mesh), ufl.TestFunction(self.V)
         # The traction of a total force is that over the area, which is a constant of the form.
         loads = [(load, work) for load, work in problem.weak_form.works if type(load) is Force]
@@ -225,30 +222,16 @@ class Shape(_Field):
         return ufl.derivative(form, self._x, self._test)
 
     def offset(self, surface: str) -> FloatArray:
-        """`nodes_moved` at owned entries of `V`. Collective.
-
-        Args:
-            surface: See there.
-        """
-        motion = nodes_moved(self.problem.body, surface)
-        mesh = self.problem.body.mesh
-        rows = np.zeros((self.V.dofmap.index_map.size_local + self._ghosts, self.problem.body.dim))
-        rows[self.V.dofmap.list] = motion[mesh.geometry.dofmap]
+        """Motion of a surface, see `nodes_moved`, at owned entries of `V`. Collective."""
+        rows = _normals(self.problem.body, self.V, surface)
         return rows[: self.V.dofmap.index_map.size_local].reshape(-1)
-
-    @property
-    def _ghosts(self) -> int:
-        return int(self.V.dofmap.index_map.num_ghosts)
 
     def at_nodes(self, entries: FloatArray) -> FloatArray:
         """Owned entries of `V` at the local nodes of the geometry, ghosts included. Collective."""
         rows = fem.Function(self.V)
         rows.x.array[: len(entries)] = entries
         rows.x.scatter_forward()
-        mesh, dim = self.problem.body.mesh, self.problem.body.dim
-        result = np.zeros((len(mesh.geometry.x), dim))
-        result[mesh.geometry.dofmap] = rows.x.array.reshape(-1, dim)[self.V.dofmap.list]
-        return result
+        return _at_geometry(self.V, rows.x.array.reshape(-1, self.problem.body.dim))
 
 
 OFFSET = "offset of "
@@ -266,14 +249,31 @@ def nodes_moved(body: Body, surface: str) -> FloatArray:
     Raises:
         InputError: The body has no such surface, or it lies inside.
     """
-    mesh, dim = body.mesh, body.dim
-    V = fem.functionspace(mesh, ("Lagrange", int(mesh.geometry.cmap.degree), (dim,)))
+    V = _positions(body)
+    return _at_geometry(V, _normals(body, V, surface))
+
+
+def _positions(body: Body) -> fem.FunctionSpace:
+    """Space of the positions of nodes."""
+    degree = int(body.mesh.geometry.cmap.degree)
+    return fem.functionspace(body.mesh, ("Lagrange", degree, (body.dim,)))
+
+
+def _normals(body: Body, V: fem.FunctionSpace, surface: str) -> FloatArray:
+    """Normals of a surface at local nodes of a space, shape (nodes, dim); 0 elsewhere."""
     try:
         normals = surface_normals(body, V, surface)
     except MeshError as error:
         raise InputError(error.what, where="--offset", expected=error.expected) from None
-    rows = np.zeros((V.dofmap.index_map.size_local + V.dofmap.index_map.num_ghosts, dim))
+    index_map = V.dofmap.index_map
+    rows = np.zeros((index_map.size_local + index_map.num_ghosts, body.dim))
     rows[normals.nodes] = normals.normals
-    result = np.zeros((len(mesh.geometry.x), dim))
-    result[mesh.geometry.dofmap] = rows[V.dofmap.list]
+    return rows
+
+
+def _at_geometry(V: fem.FunctionSpace, rows: FloatArray) -> FloatArray:
+    """Rows at local nodes of the space of positions at those of the geometry."""
+    geometry = V.mesh.geometry
+    result = np.zeros((len(geometry.x), rows.shape[1]))
+    result[geometry.dofmap] = rows[V.dofmap.list]
     return result

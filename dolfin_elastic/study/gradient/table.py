@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from os import PathLike
 from pathlib import Path
+from typing import TypeVar
 
 from dolfin_elastic.core.errors import InputError, nearest
 from dolfin_elastic.core.si_text import quantity
@@ -15,6 +16,14 @@ from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.results.files import drafted
 from dolfin_elastic.results.finished.curves import literal
 from dolfin_elastic.study.tabled import Tabled
+
+T = TypeVar("T")
+
+
+def _of_name(known: Mapping[str, T], name: str, what: str) -> T:
+    if name not in known:
+        raise InputError(f"there is no {what} '{name}'", expected=nearest(name, known))
+    return known[name]
 
 
 @dataclass(frozen=True)
@@ -52,7 +61,6 @@ class Gradient:
         cells: Key of a constant to dQ/d ln m of each owned cell, in the unit of Q.
         nodes: dQ/dX at the local nodes of the mesh's geometry, ghosts included, shape (nodes, dim),
             unit of Q per m; None where no surface moves.
-        iterations: Of the adjoint's linear solver.
     """
 
     name: str
@@ -61,7 +69,6 @@ class Gradient:
     by: tuple[Derivative, ...]
     cells: Mapping[str, FloatArray] = field(default_factory=dict)
     nodes: FloatArray | None = None
-    iterations: int = 0
 
     def __getitem__(self, key: str) -> Derivative:
         """The derivative by a parameter.
@@ -69,10 +76,7 @@ class Gradient:
         Raises:
             InputError: It is not among those that were asked for.
         """
-        known = {one.key: one for one in self.by}
-        if key not in known:
-            raise InputError(f"there is no derivative by '{key}'", expected=nearest(key, known))
-        return known[key]
+        return _of_name({one.key: one for one in self.by}, key, "derivative by")
 
 
 @dataclass(frozen=True)
@@ -91,10 +95,7 @@ class GradientTable(Tabled):
         Raises:
             InputError: It is not among those that were asked for.
         """
-        known = {one.name: one for one in self.gradients}
-        if name not in known:
-            raise InputError(f"there is no gradient of '{name}'", expected=nearest(name, known))
-        return known[name]
+        return _of_name({one.name: one for one in self.gradients}, name, "gradient of")
 
     def columns(self) -> dict[str, list[object]]:
         """The table by columns, a row for each number and parameter."""

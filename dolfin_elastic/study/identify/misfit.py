@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from dolfinx import la
 
+from dolfin_elastic.core.ghosts import summed
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.solvers.assembly.assembler import Assembler
-from dolfin_elastic.study.gradient.functionals import Functional
+from dolfin_elastic.study.gradient.functionals import Functional, at_displacements
 from dolfin_elastic.study.identify.measured import MeasuredField
 from dolfin_elastic.study.identify.points import LocatedPoints
 
@@ -37,17 +37,13 @@ class PointMisfit(Functional):
     def by_unknowns(self, assembler: Assembler) -> FloatArray:
         """See `Functional`."""
         V, dim = self.problem.V, self.problem.body.dim
-        sums = la.vector(V.dofmap.index_map, dim)
-        rows = sums.array.reshape(-1, dim)
-        for (field, points), off in zip(self._sets, self.residuals, strict=True):
-            forces = np.zeros((len(points.mine), dim))
-            forces[:, list(field.components)] = 2 * _factor(field) * off[points.mine]
-            nodes, shapes = points.shapes(V)
-            np.add.at(rows, nodes, shapes[:, :, None] * forces[:, None, :])
-        sums.scatter_reverse(la.InsertMode.add)
         result = np.zeros(assembler.size)
-        dofs = assembler.displacement_dofs
-        result[dofs] = sums.array[: len(dofs)]
+        for (field, points), off in zip(self._sets, self.residuals, strict=True):
+            forces = np.zeros((len(points.mine), 1, dim))
+            forces[:, 0, list(field.components)] = 2 * _factor(field) * off[points.mine]
+            nodes, shapes = points.shapes(V)
+            rows = summed(V.dofmap.index_map, nodes, shapes[:, :, None] * forces)
+            result += at_displacements(assembler, rows)
         return result
 
 

@@ -24,6 +24,7 @@ from dolfin_elastic.problem.state import State
 from dolfin_elastic.solvers.nonlinear.adjoint import Adjoint
 from dolfin_elastic.solvers.nonlinear.newton import Newton
 from dolfin_elastic.study.gradient.functionals import functionals
+from dolfin_elastic.study.gradient.gradient import without_gradient
 from dolfin_elastic.study.gradient.parameters import Equilibrium, parameters
 from dolfin_elastic.study.identify.points import LocatedPoints
 from dolfin_elastic.study.wanted import Wanted
@@ -122,13 +123,10 @@ class Tangents:
 
 def differentiable(problem: Problem, keys: Sequence[str]) -> bool:
     """Whether a linear solution tells derivatives by these constants at every equilibrium."""
-    known, terms = problem.parameters, problem.terms
+    known = problem.parameters
     return not (
         any(key not in known or known[key].ufl_shape for key in keys)
-        or problem.history is not None
-        or terms.dissipates
-        or terms.follows_path
-        or terms.bars
+        or without_gradient(problem)
         or problem.contact_pairs
         or not problem.symmetric
         or problem.unknowns.scale
