@@ -9,7 +9,14 @@ from typing import TYPE_CHECKING, Annotated, TypeAlias
 
 import typer
 
-from dolfin_elastic.cli.fit_case import CaseFit, check_of_case, interval_text, refuse_earlier
+from dolfin_elastic.cli.fit_case import (
+    INTERVAL,
+    CaseFit,
+    check_of_case,
+    constant_rows,
+    refuse_earlier,
+    show_rows,
+)
 from dolfin_elastic.cli.run import Output
 from dolfin_elastic.core.errors import CaseError, SolveError, check_kept, nearest
 from dolfin_elastic.core.startup.libraries import start
@@ -269,25 +276,21 @@ def _show(name: str, fit: Fit, on: object, folder: Path, json: bool) -> None:
 
 def _tables(fit: Fit) -> None:
     """Prints constants and errors."""
-    from rich.box import SIMPLE_HEAD
-    from rich.table import Table
-
-    from dolfin_elastic.cli.console import console
     from dolfin_elastic.core.si_text import percent, quantity
 
-    table = Table("constant", box=SIMPLE_HEAD, pad_edge=False)
-    table.add_column("value", justify="right")
-    table.add_column("95 % interval", justify="left")
-    for row in fit.constants:
-        table.add_row(row.name, quantity(row.value, row.unit), row.held or interval_text(row))
-    console().print(table)
-    table = Table("test", box=SIMPLE_HEAD, pad_edge=False)
-    for head in ("points", "r.m.s. error", "of the largest stress"):
-        table.add_column(head, justify="right")
-    for curve in fit.curves:
-        count, error = str(len(curve.stress)), quantity(curve.rms, "Pa")
-        table.add_row(curve.measured.kind, count, error, percent(curve.relative))
-    console().print(table)
+    show_rows(("constant", "value", INTERVAL), constant_rows(fit.constants))
+    show_rows(
+        ("test", "points", "r.m.s. error", "of the largest stress"),
+        (
+            (
+                curve.measured.kind,
+                str(len(curve.stress)),
+                quantity(curve.rms, "Pa"),
+                percent(curve.relative),
+            )
+            for curve in fit.curves
+        ),
+    )
 
 
 def _plain(fit: Fit) -> dict[str, object]:

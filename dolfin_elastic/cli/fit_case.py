@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -213,32 +213,50 @@ def _show(found: Identified, folder: Path, json: bool) -> None:
 
 def _tables(found: Identified) -> None:
     """Prints values and errors."""
+    from dolfin_elastic.core.si_text import percent
+    from dolfin_elastic.study.identify.identify import error_text
+
+    show_rows(("value of", "found", INTERVAL), constant_rows(found.constants))
+    show_rows(
+        ("measured", "numbers", "r.m.s. error", "of the largest value"),
+        (
+            (one.measured.label, str(one.computed.size), error_text(one), percent(one.relative))
+            for one in found.sets
+        ),
+    )
+
+
+INTERVAL = "95 % interval"
+
+
+def show_rows(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
+    """Prints a table; its numbers are at the right, names and intervals at the left."""
     from rich.box import SIMPLE_HEAD
     from rich.table import Table
 
     from dolfin_elastic.cli.console import console
-    from dolfin_elastic.core.si_text import percent, quantity
-    from dolfin_elastic.study.identify.identify import error_text
 
-    table = Table("value of", box=SIMPLE_HEAD, pad_edge=False)
-    table.add_column("found", justify="right")
-    table.add_column("95 % interval", justify="left")
-    for row in found.constants:
-        table.add_row(row.name, quantity(row.value, row.unit), interval_text(row))
-    console().print(table)
-    table = Table("measured", box=SIMPLE_HEAD, pad_edge=False)
-    for head in ("numbers", "r.m.s. error", "of the largest value"):
-        table.add_column(head, justify="right")
-    for one in found.sets:
-        count = str(one.computed.size)
-        table.add_row(one.measured.label, count, error_text(one), percent(one.relative))
+    table = Table(heads[0], box=SIMPLE_HEAD, pad_edge=False)
+    for head in heads[1:]:
+        table.add_column(head, justify="left" if head == INTERVAL else "right")
+    for row in rows:
+        table.add_row(*row)
     console().print(table)
 
 
-def interval_text(row: FittedConstant) -> str:
-    """The interval of a constant."""
+def constant_rows(constants: Iterable[FittedConstant]) -> Iterator[Sequence[str]]:
+    """Name, value and interval of constants."""
+    from dolfin_elastic.core.si_text import quantity
+
+    for row in constants:
+        yield row.name, quantity(row.value, row.unit), _interval_text(row)
+
+
+def _interval_text(row: FittedConstant) -> str:
     from dolfin_elastic.core.si_text import percent, quantity
 
+    if row.held:
+        return row.held
     if row.bound:
         return "at its bound"
     if not math.isfinite(row.half):

@@ -26,6 +26,7 @@ import re
 from abc import abstractmethod
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from mpi4py import MPI
@@ -39,6 +40,10 @@ from dolfin_elastic.results.files import replace_text
 from dolfin_elastic.results.grid import Grid
 from dolfin_elastic.results.hdf5 import Rows
 from dolfin_elastic.results.writers.series import IndexedSeries
+
+if TYPE_CHECKING:
+    from dolfin_elastic.mesh.fields import MeshField
+    from dolfin_elastic.problem.problem import Problem
 
 _MESH = re.compile(r"/([^/:<>]+\.h5):/points<")
 _ARRAYS = re.compile(r"/([^/:<>]+\.h5):/")
@@ -205,3 +210,21 @@ def item(rows: Rows, place: str) -> str:
         f'<DataItem Dimensions="{count} {columns}" NumberType="{kind}" '
         f'Precision="{rows.values.itemsize}" Format="HDF">{place.translate(_ESCAPED)}</DataItem>'
     )
+
+
+def write_with_fields(
+    problem: Problem, state: State, path: Path, fields: Mapping[str, MeshField]
+) -> None:
+    """Writes one state's displacement and further fields, which its body then has. Collective.
+
+    Args:
+        fields: Name to a field on the mesh of the problem.
+
+    Raises:
+        OutputError: It cannot be written.
+    """
+    for name, one in fields.items():
+        problem.body.fields[name] = one
+    writer = XdmfWriter(problem, path, fields=("displacement", *fields))
+    writer.write(state)
+    writer.close()

@@ -12,7 +12,7 @@ from dolfin_elastic.core.parallel import on_root
 from dolfin_elastic.mesh.fields import MeshField
 from dolfin_elastic.mesh.geometry.curved import cell_volumes
 from dolfin_elastic.results.files import json_data, make_folder, replace_text
-from dolfin_elastic.results.writers.xdmf import XdmfWriter
+from dolfin_elastic.results.writers.xdmf import write_with_fields
 from dolfin_elastic.study.gradient.gradient import Found
 from dolfin_elastic.study.gradient.table import GradientTable
 from dolfin_elastic.study.tabled import csv_text
@@ -41,8 +41,8 @@ def write_gradient(found: Found, folder: Path) -> list[str]:
         OutputError: Something cannot be written.
     """
     table, comm = GradientTable(found.gradients), found.problem.body.comm
-    names, written = _field_names(found), [TABLE, SUMMARY]
-    written += [PLOT] * table.drawable + [FIELDS] * bool(names)
+    fields, written = _fields(found), [TABLE, SUMMARY]
+    written += [PLOT] * table.drawable + [FIELDS] * bool(fields)
 
     def texts() -> None:
         make_folder(folder)
@@ -55,27 +55,23 @@ def write_gradient(found: Found, folder: Path) -> list[str]:
             table.plot(folder / PLOT)
 
     on_root(comm, texts)
-    if names:
-        writer = XdmfWriter(found.problem, folder / FIELDS, fields=("displacement", *names))
-        writer.write(found.state)
-        writer.close()
+    if fields:
+        write_with_fields(found.problem, found.state, folder / FIELDS, fields)
     return written
 
 
-def _field_names(found: Found) -> list[str]:
-    """Makes the gradients by fields fields of the body; their names. Collective.
+def _fields(found: Found) -> dict[str, MeshField]:
+    """Gradients by fields as fields of the body, by their names. Not collective.
 
     Values of cells are those of all, dQ/d ln m, over the volume of the cell, so that they do not
     depend on the mesh.
     """
-    body, names = found.problem.body, list[str]()
+    body, result = found.problem.body, dict[str, MeshField]()
     volumes = cell_volumes(body.mesh)[: len(body.owned_cells())]
     for one in found.gradients:
         plain = one.name.replace(":", " ")
         for key, values in one.cells.items():
-            names.append(f"{plain} by {key}")
-            body.fields[names[-1]] = MeshField("cell", (values / volumes)[:, None])
+            result[f"{plain} by {key}"] = MeshField("cell", (values / volumes)[:, None])
         if one.nodes is not None:
-            names.append(f"{plain} by shape")
-            body.fields[names[-1]] = MeshField("point", np.ascontiguousarray(one.nodes))
-    return names
+            result[f"{plain} by shape"] = MeshField("point", np.ascontiguousarray(one.nodes))
+    return result

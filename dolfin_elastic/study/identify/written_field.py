@@ -14,7 +14,7 @@ from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.mesh.fields import MeshField
 from dolfin_elastic.results.files import drafted, make_folder, replace_text
 from dolfin_elastic.results.finished.curves import literal
-from dolfin_elastic.results.writers.xdmf import XdmfWriter
+from dolfin_elastic.results.writers.xdmf import write_with_fields
 from dolfin_elastic.study.identify.cells import FieldFound
 from dolfin_elastic.study.identify.measured import MeasuredField
 from dolfin_elastic.study.identify.written import case_text, field_panel, point_rows
@@ -36,14 +36,12 @@ def write_field(found: FieldFound, folder: Path) -> list[str]:
     Raises:
         OutputError: Something cannot be written.
     """
-    comm, body, name = found.problem.body.comm, found.problem.body, found.case.name
+    comm, name = found.problem.body.comm, found.case.name
     constant = found.key.rpartition(".")[2]
     field, series = f"{constant}_found", f"{name}_field.xdmf"
     on_root(comm, lambda: make_folder(folder))
-    body.fields[field] = MeshField("cell", np.nan_to_num(found.values)[:, None])
-    writer = XdmfWriter(found.problem, folder / series, fields=("displacement", field))
-    writer.write(found.state)
-    writer.close()
+    values = MeshField("cell", np.nan_to_num(found.values)[:, None])
+    write_with_fields(found.problem, found.state, folder / series, {field: values})
 
     def texts() -> list[str]:
         value = {"file": series, "field": field}
