@@ -109,14 +109,16 @@ class Equilibrium:
             residual.assemble()
         else:
             assembler = Assembler(changed)
-            scalars = scalar_unknowns(assembler)
-            assert scalars is not None
-            scalars.put(bordered.scalars.get())
-            residual = assembler.residual
-            move_prescribed(assembler)
-            residual.assemble()
-            equations = scalars.residual(residual)
-            assembler.destroy()
+            try:
+                scalars = scalar_unknowns(assembler)
+                assert scalars is not None
+                scalars.put(bordered.scalars.get())
+                residual = assembler.residual
+                move_prescribed(assembler)
+                residual.assemble()
+                equations = scalars.residual(residual)
+            finally:
+                assembler.destroy()
         # Growth, thickness and the macroscopic strain are in the numbers, too.
         numbers = [one.value(residual.owned) for one in self._numbers_of(changed)]
         return Sides(residual.owned.copy(), equations, np.array(numbers))
