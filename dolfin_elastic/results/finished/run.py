@@ -31,7 +31,7 @@ _EXACT = {
     "omega": "rad/s",
     "mass": "kg",
 }
-_BEGINNINGS = {
+BEGINNINGS = {
     "reaction_": "N",
     "momentum_": "kg m/s",
     "angular_momentum_": "kg m^2/s",
@@ -51,6 +51,7 @@ _BEGINNINGS = {
     "volume_": "m^3",
     "stick_share_": "",
 }
+"""How columns of a support, a load or another thing begin, before its name, to their units."""
 _VECTORS = (
     "reaction_",
     "momentum_",
@@ -84,7 +85,7 @@ def column_unit(column: str, *, timed: bool) -> str:
     if _STRESS.fullmatch(column):
         return "Pa"
     last = column.rpartition("_")[2]
-    begin = next((unit for begin, unit in _BEGINNINGS.items() if column.startswith(begin)), None)
+    begin = next((unit for begin, unit in BEGINNINGS.items() if column.startswith(begin)), None)
     # A support may be called as a field is.
     if begin is not None and column.startswith(_VECTORS) and last in _AXES:
         return begin

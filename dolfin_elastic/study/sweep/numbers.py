@@ -11,7 +11,7 @@ from pathlib import Path
 from dolfin_elastic.case.case import Case
 from dolfin_elastic.results.fields import FIELDS
 from dolfin_elastic.results.finished.findings import extremes_of, modes_of
-from dolfin_elastic.results.finished.run import FinishedRun, column_unit
+from dolfin_elastic.results.finished.run import BEGINNINGS, FinishedRun, column_unit
 from dolfin_elastic.results.verdict import ELSEWHERE, doubt, reliable
 from dolfin_elastic.study.wanted import Wanted
 
@@ -26,12 +26,6 @@ _ENERGIES = {
     *("strain", "kinetic", "external", "total", "relaxing", "remembered", "springs", "contact"),
     *("damping", "bulk_viscosity", "dashpots", "friction", "potential", "balance", "dissipated"),
 }
-_OF_PARTS = (
-    *("reaction", "momentum", "angular_momentum", "moment", "section_force", "section_moment"),
-    *("torque", "penetration", "contact_area", "friction_dissipation", "bolt_force", "pressure"),
-    *("obstacle_force", "obstacle_displacement", "obstacle_velocity", "shortening", "volume"),
-    *("stick_share", "smallest_distance"),
-)
 _NUMBERED = {"frequency": "modal", "load_factor": "buckling"}
 _OF_VECTOR, _OF_TENSOR = re.compile(r"_[ru]?[xyz]$"), re.compile(r"_[xyz]{1,2}$")
 _MODES = 3
@@ -128,7 +122,8 @@ def may_have(case: Case, name: str) -> bool:
     stem = _OF_VECTOR.sub("", name)
     if stem != name and stem in words:  # the displacement of a probe
         return True
-    if stem in _OF_PARTS or any(stem == f"{of}_{part}" for of in _OF_PARTS for part in words):
+    begins = [*BEGINNINGS, "smallest_distance_"]
+    if f"{stem}_" in begins or any(stem == f"{of}{part}" for of in begins for part in words):
         return True
     pieces = _OF_TENSOR.sub("", name).split("_")
     splits = (("_".join(pieces[:n]), "_".join(pieces[n:])) for n in range(1, len(pieces)))
