@@ -24,7 +24,7 @@ from dolfin_elastic.case.tables import (
     table_of,
 )
 from dolfin_elastic.case.toml import key_text, read_toml
-from dolfin_elastic.core.errors import InputError, all_errors, joined, keyed
+from dolfin_elastic.core.errors import OF_MATERIAL, InputError, all_errors, joined, keyed
 from dolfin_elastic.core.schema import AlreadyRead, Record, WhenGiven, quoted
 from dolfin_elastic.core.units import metres
 from dolfin_elastic.mesh import Body, EdgeSelector, PointSelector, Selector
@@ -41,7 +41,6 @@ from dolfin_elastic.model.supports.displacement import Restraint
 from dolfin_elastic.model.supports.springs import SUPPORTS
 from dolfin_elastic.model.tie import Tie
 from dolfin_elastic.problem.problem import Problem
-from dolfin_elastic.results.verdict import OF_MATERIAL
 
 
 class ModelTables(Record):

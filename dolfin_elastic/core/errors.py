@@ -278,6 +278,9 @@ def why_no_file(path: str | Path, most: int) -> str:
     return f"this is {kinds.get(stat.S_IFMT(status.st_mode), 'a device')}, not a file"
 
 
+OF_MATERIAL = " (material)"
+"""Ends the name of a material's region where the mesh has a region of that name."""
+
 SHOWN = "DOLFIN_ELASTIC_SHOWN"
 """Variable in which docker/run says which folders of the machine a command sees, between colons."""
 

@@ -351,7 +351,7 @@ class FormContext:
         if density is None:
             raise InputError(
                 "weight and motion need a density",
-                where=f"materials.{region.name}",
+                where=region.table,
                 expected='for example density = "1100 kg/m^3"',
             )
         return density

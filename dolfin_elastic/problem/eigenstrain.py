@@ -54,14 +54,14 @@ def eigenstrains(
             if load.kind == "thermal" and region.law.expansion is None:
                 raise InputError(
                     f"load[{index}] ({load.kind}) needs a coefficient of expansion",
-                    where=f"materials.{region.name}.expansion",
+                    where=f"{region.table}.expansion",
                     expected='for example "12 ppm/K"',
                 )
             if load.kind == "thermal" and region.law.viscous_shift is not None:
                 raise InputError(
                     f"load[{index}] (thermal) changes the temperature, and the relaxation times "
                     "are those of one",
-                    where=f"materials.{region.name}.viscous_shift",
+                    where=f"{region.table}.viscous_shift",
                     expected="one of both",
                 )
             growth = load.growth(context, region.law.expansion, share)

@@ -14,7 +14,7 @@ from dolfinx.fem import Constant
 from mpi4py import MPI
 from ufl.core.expr import Expr
 
-from dolfin_elastic.core.errors import InputError, MeshError, keyed, nearest
+from dolfin_elastic.core.errors import OF_MATERIAL, InputError, MeshError, keyed, nearest
 from dolfin_elastic.core.parallel import on_root, total
 from dolfin_elastic.core.types import IndexArray
 from dolfin_elastic.mesh.body import Body, cell_size, span
@@ -144,6 +144,11 @@ class MaterialRegion(BoundLaw):
     marker: int
     compliance: Expr | None = None
     shear: Expr = 1.0
+
+    @property
+    def table(self) -> str:
+        """Key of the material in a case, "materials.rubber"."""
+        return f"materials.{self.name.removesuffix(OF_MATERIAL)}"
 
     @property
     def incompressible(self) -> bool:

@@ -318,7 +318,7 @@ class Problem(Shown):
         another key it raises an `InputError` with the nearest one.
         """
         return _Parameters(
-            (f"materials.{region.name}.{name}", constant)
+            (f"{region.table}.{name}", constant)
             for region in self.regions
             for name, constant in region.constants.items()
         )

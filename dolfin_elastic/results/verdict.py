@@ -13,7 +13,7 @@ from contextlib import suppress
 from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
-from dolfin_elastic.core.errors import ElasticError, InputError
+from dolfin_elastic.core.errors import OF_MATERIAL, ElasticError, InputError
 from dolfin_elastic.core.si_text import number, percent, quantity
 from dolfin_elastic.core.units import LengthUnit, to_si
 
@@ -25,8 +25,6 @@ UNLOADED = 1e-9
 
 SAFEST = 1000.0
 """Upper bound of the safety factor, which would be infinite without stress."""
-OF_MATERIAL = " (material)"
-"""Ends the name of a material's region where the mesh has a region of that name."""
 _LEAVES = "it buckles, tips over or snaps through"
 _LOADED, _NAMES = ("load", "support", "contact"), {"on", "kind", "name"}
 _TIMED = re.compile(r"\bt\b")

@@ -169,7 +169,7 @@ class HydrostaticConstant:
                 raise InputError(
                     f"the law '{law.name()}' does not keep J = 1 at nu = 0.5, and the body is "
                     "constrained on its whole surface, which prescribes its volume",
-                    where=f"materials.{part.name}.nu",
+                    where=f"{part.table}.nu",
                     expected="a law with U(J), such as 'neo-hookean', or nu below 0.5",
                 )
 

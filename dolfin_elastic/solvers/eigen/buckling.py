@@ -409,7 +409,7 @@ def _check_laws(problem: Problem, preload: float) -> None:
         if region.law.linear:
             raise InputError(
                 f"'{region.law.name()}' is a law of small rotations: {reason}",
-                where=f"materials.{region.name}.law",
+                where=f"{region.table}.law",
                 expected="st-venant-kirchhoff, which takes the same constants, or another law for "
                 "large rotations",
             )

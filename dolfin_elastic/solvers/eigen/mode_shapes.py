@@ -53,7 +53,7 @@ def refuse(problem: Problem, table: str, *, loaded: bool) -> None:
         if not region.law.has_energy:
             raise InputError(
                 f"'{region.law.name()}' has no strain energy, which modes are defined by",
-                where=f"materials.{region.name}.law",
+                where=f"{region.table}.law",
                 expected="for example st-venant-kirchhoff",
             )
     if loaded and not problem.symmetric:

@@ -19,7 +19,7 @@ from petsc4py import PETSc
 
 from dolfin_elastic.core.compat import petsc_errors
 from dolfin_elastic.core.errors import InputError
-from dolfin_elastic.core.parallel import largest, total
+from dolfin_elastic.core.parallel import total
 from dolfin_elastic.core.timing import stage
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.solvers.petsc.options import ksp_reason
@@ -35,8 +35,6 @@ Pressures of nearly incompressible bodies lose some of the digits, and factors g
 _ITERATIONS, _RESTART = 2000, 60
 _UZAWA = 100
 """Of Uzawa's iterations, each of which gains a digit or so."""
-_NEAR = 1e-7
-"""Of a cell's size, by which forces of contact are looked at beside an equilibrium."""
 
 
 @dataclass(frozen=True)
@@ -136,17 +134,16 @@ class Adjoint:
     def _inverse(self, right: FloatArray) -> FloatArray:
         """K^-T times what a vector has at free entries, along which contact holds. Collective.
 
-        Newton's K has the stiffness K_c by which contact resists, its pressures being what they
-        are.  But they follow, as multipliers do, so that nothing moves against it: Uzawa's
-        iteration K x_k = b - sum K_c x_j, j < k, finds that solution.
+        Newton's K has the penalty of contact, K_c = eps G^T G with the rows G of the gaps.  But
+        pressures are multipliers, which keep G x = 0: Uzawa's iteration K x_k = b - sum K_c x_j,
+        j < k, finds that solution.
         """
         x = self._plain_inverse(right)
         if not self._assembler.problem.contact_pairs:
             return x
         largest_size = float(total(self._assembler.comm, np.sum(x**2)))
         for _ in range(_UZAWA):
-            resisting = self._resistance(x)
-            right = right - resisting
+            right = right - self._penalised(x)
             before, x = x, self._plain_inverse(right)
             change, size = total(
                 self._assembler.comm, np.array([np.sum((x - before) ** 2), np.sum(x**2)])
@@ -159,23 +156,15 @@ class Adjoint:
             expected="`sweep`, or a stiffer contact",
         )
 
-    def _resistance(self, x: FloatArray) -> FloatArray:
-        """K_c x: change of the forces of contact along a motion, by differences. Collective."""
-        assembler, problem = self._assembler, self._assembler.problem
-        longest = largest(assembler.comm, float(np.abs(x).max(initial=0.0)))
-        step = _NEAR * self._newton.cell_size / longest if longest else 0.0
-        others = [one.label for one in (*problem.springs, *problem.dashpots)]
-        start, sides = problem.w.x.array.copy(), []
-        moved = np.array(x)
-        assembler.extend(moved)
-        for sign in (1.0, -1.0):
-            problem.w.x.array[: len(moved)] = start[: len(moved)] + sign * step * moved
-            problem.w.x.scatter_forward()
-            problem.unknowns.w_to_u()
-            sides.append(assembler.reactions.restraints(others))
-        problem.w.x.array[:] = start
-        problem.unknowns.w_to_u()
-        return np.asarray((sides[1] - sides[0]) / (2 * step)) if step else np.zeros_like(x)
+    def _penalised(self, x: FloatArray) -> FloatArray:
+        """K_c x, see `Pressures.penalised`. Collective."""
+        problem, motion = self._assembler.problem, self._assembler.ghosted_vector()
+        motion.array[: len(x)] = x
+        self._assembler.extend(motion.array)
+        motion.scatter_forward()
+        entries = problem.unknowns.mixed_dofs(np.arange(len(problem.u.x.array), dtype=np.int32))
+        moved = motion.array[entries]
+        return np.asarray(sum(pair.penalised(moved) for pair in problem.contact_pairs))
 
     def _plain_inverse(self, right: FloatArray) -> FloatArray:
         """The same without contact. Collective."""

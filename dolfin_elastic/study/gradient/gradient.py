@@ -24,6 +24,7 @@ from dolfin_elastic.solvers.nonlinear.adjoint import Adjoint, AdjointState
 from dolfin_elastic.solvers.nonlinear.newton import Newton
 from dolfin_elastic.solvers.statics.statics import Statics
 from dolfin_elastic.study.gradient.buckling import LinearState, Prebuckling, load_factors
+from dolfin_elastic.study.gradient.direct import Direct
 from dolfin_elastic.study.gradient.functionals import Functional, functionals
 from dolfin_elastic.study.gradient.modes import (
     AtRest,
@@ -35,6 +36,7 @@ from dolfin_elastic.study.gradient.modes import (
 from dolfin_elastic.study.gradient.parameters import (
     STEP,
     Basis,
+    CaseNumber,
     Equilibrium,
     Sides,
     parameters,
@@ -94,7 +96,14 @@ class Gradients:
             )
         self.problem, self._of, self._probes = problem, asked.of, probes or {}
         self._functionals = self._numbers_of(problem)
-        self._by = _By(asked, problem, case)
+        self._by, self._direct = _By(asked, problem, case), has_no_adjoint(problem)
+        if self._direct and (asked.fields or asked.offsets):
+            raise InputError(
+                "there are no gradients by fields or the shape with contact between surfaces of "
+                "the mesh, or with obstacles or rigid surfaces under forces that contact moves",
+                where="gradient",
+                expected="numbers of the case, with --by",
+            )
 
     def _numbers_of(self, problem: Problem) -> list[Functional]:
         return functionals(self._of, problem, self._probes)
@@ -111,8 +120,12 @@ class Gradients:
         try:
             of_scalars = here.by_scalars()
             values, sides = self._by.sides(here)
+            sides = self._by.with_motion(here, sides, of_all=self._direct)
+            here.evaluated()
             solutions = [
-                adjoint.solve(one.by_unknowns(here.assembler), of_scalars[number])
+                None
+                if self._direct
+                else adjoint.solve(one.by_unknowns(here.assembler), of_scalars[number])
                 for number, one in enumerate(self._functionals)
             ]
             return self._by.gradients(here.assembler, self._functionals, values, sides, solutions)
@@ -148,6 +161,22 @@ class _By:
         """
         sides = [one.derivative(basis) for one in self._parameters]
         return basis.evaluated().numbers, sides
+
+    def with_motion(
+        self, here: Equilibrium, sides: Sequence[Sides], *, of_all: bool
+    ) -> list[Sides]:
+        """The same with the motion by each parameter that has no adjoint with contact.
+
+        Args:
+            of_all: None has.
+        """
+        if not here.problem.contact_pairs:
+            return list(sides)
+        direct = Direct(here)
+        return [
+            direct.total(side) if of_all or isinstance(parameter, CaseNumber) else side
+            for parameter, side in zip(self._parameters, sides, strict=True)
+        ]
 
     def gradients(
         self,
@@ -215,15 +244,19 @@ def without_gradient(problem: Problem) -> str:
         what = "of materials that remember"
     elif problem.terms.dissipates or problem.terms.follows_path:
         what = "with friction, which depends on all steps before"
-    elif any(pair.contact.force is not None for pair in problem.contact_pairs) or (
-        problem.contact_pairs and problem.constraints.rigid_motions
-    ):
-        what = "of contact that moves an obstacle or a rigid surface under a force"
-    elif any(term.bars for term in problem.terms) or any(
-        pair.contact.plane is None for pair in problem.contact_pairs
-    ):  # whose stiffness has a part of the curvature, which is no constraint
-        what = "of contact but that with rigid planes"
+    elif problem.terms.bars:
+        what = "of contact of a surface with itself"
     return what
+
+
+def has_no_adjoint(problem: Problem) -> bool:
+    """Whether contact is between surfaces of the mesh, or moves what a force acts on, too.
+
+    Its tangent is not exact, or its multipliers are coupled to scalar unknowns. Not collective.
+    """
+    pairs = problem.contact_pairs
+    moved = any(pair.contact.between or pair.contact.push is not None for pair in pairs)
+    return moved or bool(pairs and problem.constraints.rigid_motions)
 
 
 @dataclass(frozen=True)

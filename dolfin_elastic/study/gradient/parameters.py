@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
@@ -37,7 +37,7 @@ STEP = 1e-4
 """Of the differences, relative to the value, or to its distance from what is impossible."""
 WEIGHTS = {-2: 1 / 12, -1: -2 / 3, 1: 2 / 3, 2: -1 / 12}
 """Of the values at so many steps from the present one."""
-_TABLES = ("materials", "support", "load", "tie", "mass", "periodic", "axes")
+_TABLES = ("materials", "support", "load", "contact", "tie", "mass", "periodic", "axes")
 """Of a case, of whose numbers a problem is made on the same mesh."""
 _OPTION = "--by"
 
@@ -50,11 +50,13 @@ class Sides:
         forces: Out-of-balance nodal forces, owned entries [N].
         equations: Residuals of scalar unknowns.
         numbers: The functionals.
+        pressures: Of contact at owned vertices, one after the other [Pa].
     """
 
     forces: FloatArray
     equations: FloatArray
     numbers: FloatArray
+    pressures: FloatArray = field(default_factory=lambda: np.zeros(0))
 
 
 class Basis(Protocol):
@@ -93,7 +95,7 @@ class Equilibrium:
         residual.assemble()
         forces = residual.owned.copy()
         equations = np.zeros(0) if bordered is None else bordered.scalars.residual(residual)
-        return Sides(forces, equations, self.numbers(forces))
+        return Sides(forces, equations, self.numbers(forces), pressures_of(self.problem))
 
     def on(self, changed: Problem) -> Sides:
         """All that depends on parameters, of another problem at the same unknowns and time.
@@ -121,7 +123,8 @@ class Equilibrium:
                 assembler.destroy()
         # Growth, thickness and the macroscopic strain are in the numbers, too.
         numbers = [one.value(residual.owned) for one in self._numbers_of(changed)]
-        return Sides(residual.owned.copy(), equations, np.array(numbers))
+        pressures = pressures_of(changed)
+        return Sides(residual.owned.copy(), equations, np.array(numbers), pressures)
 
     def by_scalars(self) -> FloatArray:
         """Derivatives of the functionals by scalar unknowns, shape (functionals, scalars).
@@ -183,6 +186,7 @@ class Parameter(ABC):
             np.asarray(sum(w * side.forces for w, side in parts)),
             np.asarray(sum(w * side.equations for w, side in parts)),
             np.asarray(sum(w * side.numbers for w, side in parts)),
+            np.asarray(sum(w * side.pressures for w, side in parts)),
         )
 
 
@@ -269,6 +273,15 @@ def _take_state(changed: Problem, here: Problem, t: float) -> None:
     changed.set_time(t, default=PROPORTIONAL)
     changed.w.x.array[:] = here.w.x.array
     changed.unknowns.w_to_u()
+    for term, same in zip(changed.terms, here.terms, strict=True):
+        for name, function in same.memory.items():
+            term.memory[name].x.array[:] = function.x.array
+    changed.terms.commit()
+
+
+def pressures_of(problem: Problem) -> FloatArray:
+    """Of all contacts at this rank's vertices, one after the other [Pa]. Collective."""
+    return np.concatenate([np.zeros(0), *(pair.pressures() for pair in problem.contact_pairs)])
 
 
 def _written(case: Case | None, key: str) -> tuple[float, str] | None:
@@ -282,7 +295,7 @@ def _written(case: Case | None, key: str) -> tuple[float, str] | None:
 def _by_unit(key: str, problem: Problem, value: float) -> tuple[float, str] | None:
     """Number and unit of a constant that is no text of the case; None: it is no stress."""
     units = {
-        f"materials.{region.name}.{name}": unit
+        f"{region.table}.{name}": unit
         for region in problem.regions
         for name, unit in units_of(type(region.given)).items()
     }
@@ -318,7 +331,7 @@ def _parameter(key: str, problem: Problem, case: Case | None) -> Parameter:
             region.given.ranges().get(name)
             for region in problem.regions
             for name in region.constants
-            if key == f"materials.{region.name}.{name}"
+            if key == f"{region.table}.{name}"
         )
         value = float(known[key].value)
         written = _written(case, key) or (_by_unit(key, problem, value) if case else None)
@@ -336,14 +349,8 @@ def _parameter(key: str, problem: Problem, case: Case | None) -> Parameter:
         )
     if key.partition(".")[0].partition("[")[0] not in _TABLES:
         raise InputError(
-            f"'{key}' is no number of a material, support or load",
+            f"'{key}' is no number of a material, support, load or contact",
             where=_OPTION,
             expected="`sweep` for the mesh and for settings; --offset SURFACE for the shape",
-        )
-    if problem.contact_pairs or any(term.bars for term in problem.terms):
-        raise InputError(
-            f"with contact there are gradients by constants of materials alone, not by '{key}'",
-            where=_OPTION,
-            expected=nearest(key, known),
         )
     return CaseNumber(key, case, problem.body)

@@ -120,7 +120,7 @@ def coefficient_of(
         InputError: There is none that is a number.
     """
     known = {
-        f"materials.{region.name}.{name}": (
+        f"{region.table}.{name}": (
             region,
             region.constants.get(name, getattr(region.law, name, None)),
         )

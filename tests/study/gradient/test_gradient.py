@@ -85,7 +85,7 @@ def tied() -> Problem:
     )
 
 
-def pressed() -> Problem:
+def pressed(degree: int) -> Problem:
     """A block on a floor, without friction."""
     return Problem(
         box(),
@@ -99,7 +99,7 @@ def pressed() -> Problem:
                 gap_tolerance=1e-10,
             )
         ],
-        degree=1,
+        degree=degree,
     )
 
 
@@ -143,7 +143,10 @@ KINDS = {
         ("mean displacement on right", "strain_energy", "reaction_y of bottom"),
         ("E", "nu"),
     ),
-    "contact": Kind(pressed, ("mean displacement_z on top", "strain_energy"), tolerance=1e-7),
+    "contact": Kind(lambda: pressed(1), ("mean displacement_z on top", "strain_energy")),
+    "contact of quadratic faces": Kind(
+        lambda: pressed(2), ("mean displacement_z on top", "strain_energy")
+    ),
     "spring": Kind(
         lambda: Problem(
             box(),

@@ -44,7 +44,7 @@ from dolfin_elastic.problem.terms.bodies.start import StartOffsets, overlap_reac
 from dolfin_elastic.problem.terms.contact.nodal import NodalContact
 from dolfin_elastic.problem.terms.contact.pair import ContactPair
 from dolfin_elastic.problem.terms.contact.surfaces import uniaxial_modulus
-from dolfin_elastic.problem.terms.contact.vertex import VertexContact, Way, stored
+from dolfin_elastic.problem.terms.contact.vertex import VertexContact, Way, blocks_between, stored
 
 log = logging.getLogger("dolfin_elastic")
 
@@ -192,7 +192,7 @@ class BodyContact(SurfaceGaps):
         rows = V.shape[1] * V.shape[2]
         V, MV = (values.reshape(count, rows, width) for values in (V, MV))
         K = (V.swapaxes(1, 2) @ MV).reshape(count, width // d, d, width // d, d)
-        return self._blocks_between(pieces.nodes(some), K.transpose(0, 1, 3, 2, 4))
+        return blocks_between(pieces.nodes(some), K.transpose(0, 1, 3, 2, 4))
 
 
 def _carrier_first(

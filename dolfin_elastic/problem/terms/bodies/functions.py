@@ -160,7 +160,7 @@ class PieceFunctions(VertexFunctions):
         faces = Facets(self._near.X, self._near.nodes)
         whole = thickness * around / self._dim * areas(faces, axisymmetric=context.axisymmetric)
         self._vertices = self._near.vertices
-        self._whole = self._summed(np.repeat(whole[:, None], self._dim, axis=1)[..., None])[:, 0]
+        self._whole = self.summed(np.repeat(whole[:, None], self._dim, axis=1)[..., None])[:, 0]
         self._at: FloatArray = np.empty(0)
         self.renew()
 
@@ -273,7 +273,7 @@ class PieceFunctions(VertexFunctions):
         dual = share * means[:, :, None] * inverse + (1 - share) * np.eye(d)
         self.psi = np.einsum("nq,nij,nqj->nqi", weights, dual[i], s)
         self.opposed = np.minimum(covered, 1.0)
-        self._areas = self._summed(parts[..., None])[:, 0]
+        self._areas = self.summed(parts[..., None])[:, 0]
         self.share: FloatArray = np.asarray(np.minimum(self._areas / self._whole, 1.0))
         self.covered: BoolArray = np.asarray(self.share > COVERED)
 

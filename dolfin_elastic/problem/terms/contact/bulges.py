@@ -55,11 +55,29 @@ class FaceBulges:
         softest = min(shear_modulus(region.typical) for region in context.regions)
         self._per_square = CURB / softest / functions.lengths if self.some else np.empty(0)
 
+    def _means(self) -> FloatArray:
+        """p of the facets [Pa]; 0 where not all vertices press. Collective."""
+        p = self._functions.at_vertices(self._pair.values()[:, None])[..., 0]
+        return np.where(np.all(p > 0.0, axis=1), np.mean(p, axis=1), 0.0)
+
     def _stiffness(self) -> FloatArray:
         """kappa times the areas of the points, shape (facets, points) [N/m]. Collective."""
-        p = self._functions.at_vertices(self._pair.values()[:, None])[..., 0]
-        squares = np.where(np.all(p > 0.0, axis=1), np.mean(p, axis=1), 0.0) ** 2
-        return np.asarray((self._per_square * squares)[:, None] * self._functions.weights)
+        return np.asarray(
+            (self._per_square * self._means() ** 2)[:, None] * self._functions.weights
+        )
+
+    def by_multipliers(self, gaps: FloatArray, along: FloatArray) -> FloatArray:
+        """Derivatives of the virtual work by the p at the owned vertices, (n,) [m^3]. Collective.
+
+        Args:
+            gaps: At the points of the functions [m].
+            along: The virtual displacement along the normals there [m].
+        """
+        functions, bulge = self._functions, self._functions.bulge
+        bent = (bulge @ gaps[..., None] * (bulge @ along[..., None]))[..., 0]
+        d = functions.psi.shape[-1]
+        each = -2 / d * self._per_square * self._means() * np.sum(functions.weights * bent, axis=1)
+        return functions.summed(np.repeat(each[:, None], d, axis=1)[..., None])[:, 0]
 
     def pressures(self, gaps: FloatArray) -> FloatArray:
         """With integrals, at the points of the functions, shape of the gaps there [N]. Collective.

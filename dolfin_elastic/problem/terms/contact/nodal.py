@@ -9,6 +9,7 @@ from __future__ import annotations
 from functools import cached_property
 from typing import NamedTuple
 
+import numpy as np
 import ufl
 from dolfinx import fem
 from dolfinx.mesh import Mesh
@@ -108,6 +109,24 @@ class NodalContact(ContactPair):
         """Contact pressure on the reference area [Pa], of the step."""
         first, last = (self.lam - self.penalty * self._gap_at(place)[0] for place in self._ends)
         return pressure_of_step(self.step, first, last, -self.penalty * self._reach)
+
+    def penalised(self, motion: FloatArray) -> FloatArray:
+        """See `Pressures`: the penalty is in the pressures at the nodes."""
+        normals, rates = self.gaps()[1], self._of_nodes(motion.reshape(-1, self._dim))
+        pressures = self.eps * np.sum(normals * rates, axis=1) * (self.pressures() > 0.0)
+        field, form = self._pressed
+        field.x.array[self.nodes] = pressures
+        field.x.scatter_forward()
+        return assembled(form, self._context.unknowns.W)
+
+    @cached_property
+    def _pressed(self) -> tuple[fem.Function, fem.Form]:
+        """A field of pressures, and the compiled virtual work against them. Collective."""
+        field, v = fem.Function(self.lam.function_space), self._context.v
+        push = self.pose.acting_in_form(self._normal)
+        form = field * ufl.inner(push, v) * self._measure
+        (compiled,) = compile_forms(self.comm, [form], options(self.comm))
+        return field, compiled
 
     def along(self, way: FloatArray) -> _ForceOfForm:
         """See `ContactPair`."""

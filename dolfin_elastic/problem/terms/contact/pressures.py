@@ -245,6 +245,19 @@ class Pressures(InSteps):
         """The obstacle's force on the body along a unit vector. Collective."""
         raise NotImplementedError
 
+    def penalised(self, motion: FloatArray) -> FloatArray:
+        """eps G^T G x: what of the tangent keeps gaps closed, times a motion. Collective.
+
+        Of vertices in contact; the other part, by the turn of normals under pressures, does not.
+
+        Args:
+            motion: Of all local nodes [m].
+
+        Returns:
+            Forces against it, owned entries of all unknowns [N].
+        """
+        raise NotImplementedError
+
 
 def positive_share(corners: FloatArray) -> FloatArray:
     """Share of each edge or triangle on which a linear function is above 0, shape (n,).

@@ -29,7 +29,6 @@ from dolfin_elastic.core.shapes.shapes import Plane, Shape
 from dolfin_elastic.core.types import BoolArray, FloatArray, IndexArray, IntArray
 from dolfin_elastic.model.contact import Contact
 from dolfin_elastic.problem.context import FormContext
-from dolfin_elastic.problem.spaces import Unknowns
 from dolfin_elastic.problem.term import Blocks, Kind, Means, Multipliers
 from dolfin_elastic.problem.terms.contact.bulges import FaceBulges
 from dolfin_elastic.problem.terms.contact.multipliers import RIGID, SETTLED, PressureIterate
@@ -260,7 +259,7 @@ class VertexContact(_Followed):
         result = blocks_of(nodes, pushes.T @ stiffness @ G, G, self._dim)
         if self.bulges.some:
             some, values = self.bulges.tangent(way.normals)
-            result += self._blocks_between(self.functions.nodes(some), values)
+            result += blocks_between(self.functions.nodes(some), values)
         if self.multipliers.iterate is not None:
             pressures = self.values()
         return result if self.flat else result + self._turning(pressures, way.last)
@@ -315,17 +314,21 @@ class VertexContact(_Followed):
             curvature,
             optimize=True,
         )
-        return self._blocks_between(self.functions.nodes(some), values)
-
-    def _blocks_between(self, nodes: IntArray, values: FloatArray) -> Blocks:
-        """Blocks of all pairs of nodes (facets, k) of facets, from (facets, k, k, dim, dim)."""
-        shape, d = values.shape[:3], self._dim
-        i, j = np.broadcast_to(nodes[:, :, None], shape), np.broadcast_to(nodes[:, None], shape)
-        return Blocks(i.ravel(), j.ravel(), values.reshape(-1, d, d))
+        return blocks_between(self.functions.nodes(some), values)
 
     def along(self, way: FloatArray) -> _ForceOfVertices:
         """See `ContactPair`."""
-        return _ForceOfVertices(self, self._context.unknowns, way)
+        return _ForceOfVertices(self, way)
+
+    def penalised(self, motion: FloatArray) -> FloatArray:
+        """See `Pressures`: bulges depend on the multipliers, too."""
+        functions, normals, (_, falls) = self.functions, self.normals(), self.state()
+        along = np.sum(normals * functions.displacements(motion), axis=2)
+        rates = functions.means(along[..., None])[:, 0]
+        if self.bulges.some:
+            more = self.bulges.by_multipliers(self._at_points()[0], along)
+            rates += more / functions.areas
+        return nodal_forces(self, functions.at_points((falls * rates)[:, None]) * normals)
 
 
 class VertexPressures(Multipliers):
@@ -395,6 +398,30 @@ def gap_rates(pair: VertexContact, motion: FloatArray) -> FloatArray:
     return pair.functions.means(along[..., None])[:, 0]
 
 
+def blocks_between(nodes: IntArray, values: FloatArray) -> Blocks:
+    """Blocks of all pairs of nodes (facets, k) of facets, from (facets, k, k, dim, dim)."""
+    shape, d = values.shape[:3], values.shape[-1]
+    i, j = np.broadcast_to(nodes[:, :, None], shape), np.broadcast_to(nodes[:, None], shape)
+    return Blocks(i.ravel(), j.ravel(), values.reshape(-1, d, d))
+
+
+def nodal_forces(pair: VertexContact, vectors: FloatArray) -> FloatArray:
+    """Forces at the points of the functions, as owned entries of all unknowns [N]. Collective.
+
+    Args:
+        vectors: With integrals, shape (facets, points, dim) [N].
+    """
+    unknowns = pair._context.unknowns
+    W, nodes, dim = unknowns.W.dofmap, unknowns.V.dofmap.index_map, vectors.shape[-1]
+    vector = la.vector(nodes, dim)
+    vector.array[:] = pair.functions.spread(vectors)
+    vector.scatter_reverse(la.InsertMode.add)
+    own = np.arange(nodes.size_local * dim, dtype=np.int32)
+    result = np.zeros(W.index_map.size_local * W.index_map_bs)
+    result[unknowns.mixed_dofs(own)] = vector.array[: len(own)]
+    return result
+
+
 def stored(pair: VertexContact, gaps: FloatArray, areas: FloatArray) -> float:
     """The energy of mean gaps at vertices with some areas [J]. Collective."""
     lam = pair.lam.x.array[pair.nodes]
@@ -414,8 +441,8 @@ def _measured(
 class _ForceOfVertices:
     """See `ForceAlong`."""
 
-    def __init__(self, pair: VertexContact, unknowns: Unknowns, way: FloatArray) -> None:
-        self._pair, self._unknowns, self._way = pair, unknowns, way
+    def __init__(self, pair: VertexContact, way: FloatArray) -> None:
+        self._pair, self._way = pair, way
         self.stiffness = total(pair.comm, float(np.sum(pair.functions.areas * pair.eps)))
 
     def value(self) -> float:
@@ -425,7 +452,7 @@ class _ForceOfVertices:
 
     def row(self) -> FloatArray:
         """See `ForceAlong`."""
-        pair, functions, dim = self._pair, self._pair.functions, len(self._way)
+        pair, functions = self._pair, self._pair.functions
         (pressures, falls), normals = pair.state(), pair.normals()
         along = functions.means((normals @ self._way)[..., None])[:, 0]
         softer = functions.at_points((-falls * along)[:, None])
@@ -433,11 +460,4 @@ class _ForceOfVertices:
         turns = pair.curvatures_of_points() @ self._way
         loads = pair.bulges.loads(pressures, pair._at_points()[0])
         at_points = softer * normals + loads[..., None] * turns
-        W, nodes = self._unknowns.W.dofmap, self._unknowns.V.dofmap.index_map
-        vector = la.vector(nodes, dim)
-        vector.array[:] = functions.spread(at_points)
-        vector.scatter_reverse(la.InsertMode.add)
-        entries = self._unknowns.mixed_dofs(np.arange(nodes.size_local * dim, dtype=np.int32))
-        result = np.zeros(W.index_map.size_local * W.index_map_bs)
-        result[entries] = vector.array[: len(entries)]
-        return result
+        return nodal_forces(pair, at_points)

@@ -101,7 +101,7 @@ class VertexFunctions:
         self._vertices, self._nodes = dofs_on_facets(S, own), dofs_on_facets(V, own)
         self._map, self._node_map = S.dofmap.index_map, V.dofmap.index_map
         self._owners = Owners(pair.comm, self._map.local_range[0], self._map.size_local)
-        self.areas = self._summed(means[..., None])[:, 0]
+        self.areas = self.summed(means[..., None])[:, 0]
 
     def _measure_from_vertices(
         self, hats: FloatArray, means: FloatArray, corners: FloatArray
@@ -128,7 +128,7 @@ class VertexFunctions:
         self.bulge = np.concatenate([self.bulge, -self.bulge, nothing], axis=2)
         self.X = np.concatenate([self.X, self.X, corners], axis=1)
 
-    def _summed(self, rows: FloatArray) -> FloatArray:
+    def summed(self, rows: FloatArray) -> FloatArray:
         """Sums at the owned vertices of what facets have at theirs, shape (n, columns)."""
         return summed(self._map, self._vertices, rows)[self._pair.nodes]
 
@@ -147,7 +147,7 @@ class VertexFunctions:
         Args:
             values: At the points, shape (facets, points, columns).
         """
-        return self._summed(self.psi.swapaxes(1, 2) @ values) / self.areas[:, None]
+        return self.summed(self.psi.swapaxes(1, 2) @ values) / self.areas[:, None]
 
     def at_points(self, values: FloatArray) -> FloatArray:
         """psi_I times values, summed up, with integrals, shape (facets, points, columns).

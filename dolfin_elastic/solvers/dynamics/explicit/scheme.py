@@ -70,7 +70,7 @@ def check_explicit(problem: Problem, scheme: str) -> None:
         if part.law.viscosity is not None:
             raise InputError(
                 f"the scheme '{scheme}' knows no viscosity",
-                where=f"materials.{part.name}.viscosity",
+                where=f"{part.table}.viscosity",
                 expected='leave it out, or dynamics.scheme = "generalized-alpha"',
             )
 

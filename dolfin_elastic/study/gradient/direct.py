@@ -1,0 +1,149 @@
+"""`Direct`: derivatives by the motion of an equilibrium, which takes one search a parameter.
+
+The tangent of contact between surfaces of the mesh leaves out how the cut of their faces changes,
+so that its transpose gives no adjoint; and a number of a case may move what it touches.  There the
+motion v = dw/dm of the unknowns and the rates of the pressures p are found from
+
+    J v + dR/dp dp/dm = -dR/dm,    dp/dm = d(p - eps g)/dm,
+
+with the gaps g: steps with the tangent K against what is left of the first, and Uzawa's update of
+the second.  Products with J are central differences along v, exact whatever K leaves out.
+Source: as of `solvers.nonlinear.adjoint` (direct differentiation); Uzawa as in `Terms.solve_again`.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from mpi4py import MPI
+
+from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.core.parallel import largest, total
+from dolfin_elastic.core.types import FloatArray
+from dolfin_elastic.study.gradient.parameters import Equilibrium, Sides, move_prescribed
+
+NEAR = 1e-5
+"""Of a cell's size, by which the unknowns are moved for a difference."""
+SETTLED = 1e-8
+"""Change of the motion over the motion."""
+_STEPS, _DEPTH = 100, 20
+"""With the tangent, each of which gains a digit or so; and how many of them are combined."""
+
+
+class Direct:
+    """Finds motions of one equilibrium. Collective.
+
+    Args:
+        here: Whose solver has assembled the tangent there.
+    """
+
+    def __init__(self, here: Equilibrium) -> None:
+        self._here, self._newton = here, here.newton
+        self._pairs = here.problem.contact_pairs
+        self._start, self._pressures = self._newton.unknowns(), [p.values() for p in self._pairs]
+        self._eps = np.concatenate([np.zeros(0), *(pair.eps for pair in self._pairs)])
+
+    def total(self, by: Sides) -> Sides:
+        """What a parameter changes with the motion: numbers alone, for nothing is left of others.
+
+        Args:
+            by: Derivatives by the parameter at fixed unknowns.
+
+        Raises:
+            InputError: The motion was not found.
+        """
+        comm, mixing = self._here.problem.body.comm, Mixing(self._here.problem.body.comm)
+        cuts = np.cumsum([self._newton.assembler.size, len(self._eps)])
+        present: FloatArray = np.zeros(cuts[1] + len(by.equations))
+        for _ in range(_STEPS):
+            motion, lengths, scalars = np.split(present, cuts)
+            pressures = lengths * self._eps
+            along = self._along(motion, scalars, pressures)
+            step, more = self._newton.correction(
+                by.forces + along.forces, by.equations + along.equations
+            )
+            at_rest = self._along(motion + step, scalars + more, 0 * pressures)
+            change = np.concatenate([step, (by.pressures + at_rest.pressures) / self._eps, more])
+            sizes = total(comm, np.array([np.sum(change**2), np.sum(present**2)]))
+            if sizes[0] <= SETTLED**2 * sizes[1]:
+                none = np.zeros_like(by.forces), np.zeros_like(by.equations)
+                return Sides(*none, by.numbers + along.numbers)
+            present = mixing.next(present, change)
+        raise InputError(
+            f"the motion by a parameter was not found: contact has not settled in {_STEPS} steps",
+            where="gradient",
+            expected="`sweep`, or a stiffer contact",
+        )
+
+    def _along(self, motion: FloatArray, scalars: FloatArray, pressures: FloatArray) -> Sides:
+        """Derivatives along a motion of the unknowns and of the pressures.
+
+        Args:
+            motion: Of owned entries of the fields [m, or as they are, by the parameter].
+            scalars: Of the scalar unknowns, in the order of `Newton.bordered`.
+            pressures: Of the multipliers of contact, in the order of `pressures_of` [Pa by it].
+        """
+        assembler = self._newton.assembler
+        ways = motion[assembler.displacement_dofs], pressures / self._eps
+        longest = largest(assembler.comm, float(np.abs(np.concatenate(ways)).max(initial=0.0)))
+        step = NEAR * self._newton.cell_size / longest if longest else 1.0
+        ends = []
+        try:
+            for sign in (step, -step):
+                self._move(sign * motion, sign * scalars, sign * pressures)
+                ends.append(self._here.evaluated())
+        finally:
+            self._move(0 * motion, 0 * scalars, 0 * pressures)
+            for pair in self._pairs:
+                pair.pulls_to[:] = 0.0
+        first, last = (vars(one) for one in ends)
+        differences = {
+            name: np.asarray((first[name] - last[name]) / (2 * step), dtype=np.float64)
+            for name in first
+        }
+        return Sides(**differences)
+
+    def _move(self, motion: FloatArray, scalars: FloatArray, pressures: FloatArray) -> None:
+        """Moves all unknowns from the equilibrium. Collective."""
+        unknowns, start = self._start.copy(), 0
+        unknowns[: len(motion)] += motion
+        unknowns[len(unknowns) - len(scalars) :] += scalars
+        self._newton.put_back(unknowns)
+        for pair, values in zip(self._pairs, self._pressures, strict=True):
+            pair.lam.x.array[pair.nodes] = values + pressures[start : start + len(values)]
+            pair.lam.x.scatter_forward()
+            # What presses stays in contact, however little it presses.
+            pair.pulls_to[:] = np.where(values > 0.0, pair.size, 0.0)
+            start += len(values)
+        move_prescribed(self._newton.assembler)
+
+
+class Mixing:
+    """Anderson's acceleration of x <- x + f(x): f of a combination of the last x is smallest.
+
+    Source: H. F. Walker & P. Ni, SIAM J. Numer. Anal. 49 (2011) 1715; of a linear f it is GMRES.
+
+    Args:
+        comm: Each rank has its part of x.
+    """
+
+    def __init__(self, comm: MPI.Comm) -> None:
+        self._comm = comm
+        self._last: list[tuple[FloatArray, FloatArray]] = []
+
+    def next(self, x: FloatArray, f: FloatArray) -> FloatArray:
+        """The next x. Collective.
+
+        Args:
+            x: The present one, this rank's part of it.
+            f: At x: what the plain iteration would add.
+        """
+        self._last.append((x, f))
+        del self._last[: -1 - _DEPTH]
+        result: FloatArray = x + f
+        if len(self._last) > 1:
+            dx, df = (np.diff([one[i] for one in self._last], axis=0) for i in (0, 1))
+            gram, right = total(self._comm, df @ df.T), total(self._comm, df @ f)
+            scale = 1 / np.sqrt(np.maximum(np.diag(gram), np.finfo(float).tiny))
+            shares = np.linalg.lstsq(scale[:, None] * gram * scale, scale * right, rcond=1e-13)[0]
+            result = result - (scale * shares) @ (dx + df)
+        return result

@@ -1,0 +1,178 @@
+"""Gradients with contact against central differences of solutions, to what these leave."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from helpers.stacked import stacked
+from mpi4py import MPI
+
+from dolfin_elastic.case.case import Case
+from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.core.parallel import total
+from dolfin_elastic.study.gradient.gradient import gradient
+
+STEP = 1e-4
+CLOSE = {"gap_tolerance": "1e-10 m"}
+GEL = {"law": "neo-hookean", "E": "1 MPa", "nu": 0.3, "density": 1000}
+ENDS = [{"on": "left"}, {"on": "right"}]
+BLOCK = {"box": {"size": [2, 1, 1], "cells": [4, 2, 2]}}
+SPHERE = {"center": [1, 0.5, 1.45], "radius": "0.45 m"}
+PLATE = {"point": [0, 0, 1], "normal": [0, 0, -1]}
+ROD = {"point": [1.2, 0, -0.6], "axis": [0, 1, 0], "radius": "0.5 m"}
+PRESSED = [{"on": "top", "kind": "pressure", "value": "20 kPa"}]
+DROPPED = {"on": "top", "plane": PLATE, "force": "30 kN", "direction": [0, 0, -1]}
+
+
+def on_an_obstacle(degree: int, **more: Any) -> dict[str, Any]:
+    return {
+        "mesh": {**BLOCK, "degree": degree},
+        "materials": {"gel": GEL},
+        "statics": {"rtol": 1e-12},
+        **more,
+    }
+
+
+def pressed_by_a_sphere(degree: int) -> dict[str, Any]:
+    sphere = {"on": "top", "sphere": SPHERE, "motion": [0, 0, "-10 cm"], **CLOSE}
+    return on_an_obstacle(degree, support=ENDS, contact=[sphere])
+
+
+def on_a_rod(degree: int) -> dict[str, Any]:
+    rod = {"on": "bottom", "cylinder": ROD, **CLOSE}
+    return on_an_obstacle(degree, support=ENDS[:1], contact=[rod], load=PRESSED)
+
+
+def on_a_floor(degree: int) -> dict[str, Any]:
+    floor = {"on": "bottom", "plane": {"point": [0, 0, -0.01], "normal": [0, 0, 1]}, **CLOSE}
+    sides = [{"on": "left", "displacement": [0, 0, "free"]}, ENDS[1]]
+    return on_an_obstacle(degree, support=sides, contact=[floor], load=PRESSED)
+
+
+def under_a_plate(degree: int) -> dict[str, Any]:
+    held = [{"on": "bottom"}, {"on": "left", "displacement": [0, "free", "free"]}]
+    return on_an_obstacle(degree, support=held, contact=[{**DROPPED, **CLOSE}])
+
+
+FLOOR = ("mean displacement_z on top", "strain_energy")
+CASES = {
+    "sphere": (pressed_by_a_sphere, (*FLOOR, "reaction_z of left")),
+    "rod": (on_a_rod, (*FLOOR, "mean von_mises on left")),
+    "floor": (on_a_floor, FLOOR),
+    "plate": (under_a_plate, (*FLOOR, "reaction_z of bottom")),
+}
+KEYS = {
+    "sphere": ("materials.gel.nu", "contact[0].motion[2]", "contact[0].sphere.radius"),
+    "rod": ("materials.gel.E", "load[0].value", "contact[0].cylinder.radius"),
+    "floor": ("load[0].value",),
+    "plate": ("materials.gel.nu", "contact[0].force"),
+}
+
+
+def compare(case: Case, of: tuple[str, ...], keys: tuple[str, ...], body: Any = None) -> None:
+    """Differences of fourth order, of solutions that are known to about 1e-10."""
+    found = gradient(case, of, keys, body=body).gradients
+    here = np.array([one.value for one in found])
+    for number, key in enumerate(keys):
+        at, unit = found[0].by[number].at, found[0].by[number].unit
+
+        def values(k: int, key: str = key, at: float = at, unit: str = unit) -> np.ndarray:
+            changed = case.changed({key: f"{at * (1 + k * STEP)!r} {unit}".strip()})
+            return np.array([one.value for one in gradient(changed, of, body=body).gradients])
+
+        slopes = (8 * (values(1) - values(-1)) - (values(2) - values(-2))) / (12 * STEP)
+        told = np.array([one.by[number].at * one.by[number].value for one in found])
+        error = np.abs(told - slopes)
+        assert np.all(error <= 1e-6 * np.maximum(np.abs(slopes), 0.1 * np.abs(here))), key
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("degree", [1, 2])
+@pytest.mark.parametrize("name", CASES)
+def test_obstacles(name: str, degree: int) -> None:
+    """Curved ones have a stiffness by their curvature, and move; forces move a plate."""
+    make, of = CASES[name]
+    compare(Case.from_dict(make(degree)), of, KEYS[name])
+
+
+SOFT, HARD = {**GEL, "E": "0.5 MPa", "on": "lower"}, {**GEL, "E": "2 MPa"}
+ON_TOP = [{"on": "top", "displacement": [0, "free"]}]
+TWO = {
+    "mesh": {"rectangle": {"size": [1, 1], "cells": [2, 2]}, "degree": 1},
+    "materials": {"lower": SOFT, "upper": HARD},
+    "support": [{"on": "bottom"}, *ON_TOP],
+    "load": [{"on": "top", "kind": "pressure", "value": "0.1 MPa"}],
+    "contact": [{"between": ["above", "below"], **CLOSE}],
+    "statics": {"rtol": 1e-12},
+}
+INSERTED = {
+    "support": [{"on": "bottom"}, {"on": "top"}],
+    "contact": [{"between": ["above", "below"], "interference": "2 cm", **CLOSE}],
+    "load": [],
+}
+RIGID = {
+    "support": [
+        {"on": "bottom"},
+        {
+            "on": "top",
+            "kind": "rigid",
+            "displacement": [0, "free"],
+            "rotation": 0,
+            "force": [0, "-80 kN"],
+        },
+    ],
+    "load": [],
+}
+BODIES: dict[str, tuple[dict[str, Any], tuple[str, ...]]] = {
+    "pressed": ({}, ("materials.lower.E", "load[0].value")),
+    "inserted": (INSERTED, ("materials.lower.nu", "contact[0].interference")),
+    "rigid": (RIGID, ("materials.lower.E", "support[1].force[1]")),
+    "quadratic": ({"mesh": {**TWO["mesh"], "degree": 2}}, ("materials.upper.nu",)),
+}
+
+
+@pytest.mark.parametrize(
+    "name", ["pressed", *(pytest.param(one, marks=pytest.mark.long) for one in list(BODIES)[1:])]
+)
+def test_two_bodies(name: str) -> None:
+    """Their faces are cut by each other anew where they move: the motion knows it."""
+    more, keys = BODIES[name]
+    body = stacked(size=(1.0, 0.6), lower=(4, 3), upper=(5, 3))
+    of = ("mean displacement_x on above", "mean displacement_y on above", "strain_energy")
+    compare(Case.from_dict({**TWO, **more}), of, keys, body)
+
+
+@pytest.mark.long
+def test_two_bodies_in_space() -> None:
+    """The same of faces that are triangles."""
+    body = stacked(size=(1.0, 1.0, 0.8), lower=(2, 2, 1), upper=(3, 3, 1), shift=0.1, width=0.7)
+    tables = {
+        **TWO,
+        "mesh": {"box": {"size": [1, 1, 1], "cells": [2, 2, 2]}, "degree": 1},
+        "support": [{"on": "bottom"}, {"on": "top", "displacement": ["2 cm", 0, "-8 cm"]}],
+        "load": [],
+    }
+    of = ("mean displacement_x on above", "reaction_z of bottom", "strain_energy")
+    keys = ("materials.lower.E", "support[1].displacement[2]")
+    compare(Case.from_dict(tables), of, keys, body)
+
+
+def test_cells_beside_an_obstacle() -> None:
+    """Each by itself: all together are the constant."""
+    key = "materials.gel.E"
+    case = Case.from_dict(on_a_rod(2))
+    found = gradient(case, ["strain_energy"], [key], fields=[key]).gradients[0]
+    whole = total(MPI.COMM_WORLD, float(found.cells[key].sum()))
+    assert whole == pytest.approx(found.by[0].at * found.by[0].value, rel=1e-7)
+
+
+def test_what_has_no_adjoint() -> None:
+    """Many parameters at once, and what depends on all steps before."""
+    body = stacked(size=(1.0, 0.6), lower=(4, 3), upper=(5, 3))
+    with pytest.raises(InputError, match="no gradients by fields or the shape with contact"):
+        gradient(Case.from_dict(TWO), ["strain_energy"], fields=["materials.lower.E"], body=body)
+    rubbing = {**TWO, "contact": [{"between": ["above", "below"], "friction": 0.3}]}
+    with pytest.raises(InputError, match="with friction, which depends on all steps before"):
+        gradient(Case.from_dict(rubbing), ["strain_energy"], ["materials.lower.E"], body=body)
