@@ -541,10 +541,6 @@ def test_what_has_no_derivative() -> None:
     viscous = {"gel": {**TABLES["materials"]["gel"], "viscous": [{"ratio": 0.5, "time": 1.0}]}}
     remembers = refused("strain_energy", materials=viscous, statics={"steps": 2})
     assert "materials that remember" in remembers
-    plane = {"point": [0, 0, 1], "normal": [0, 0, -1]}
-    plate = {"on": "top", "plane": plane, "force": "2 kN", "direction": [0, 0, -1]}
-    pressed = refused("strain_energy", contact=[plate], load=[], support=[{"on": "bottom"}])
-    assert "moves an obstacle" in pressed
 
 
 def test_what_depends_on_places_has_no_derivative_by_the_shape() -> None:
