@@ -170,3 +170,8 @@ def natural(name: str) -> list[tuple[int, str]]:
     """Key that sorts names for people by the numbers in them: 1, 2, 10."""
     parts = re.split(r"([0-9]+)", name)
     return [(int(part) if part.isdecimal() else 0, part) for part in parts]
+
+
+def literal(text: str) -> str:
+    """A text in which matplotlib finds no formula."""
+    return text.replace("$", r"\$")

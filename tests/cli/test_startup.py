@@ -40,6 +40,7 @@ kind = "traction"
 on = "right"
 value = [0, 0, "-13 kPa"]
 """
+SWEEP = ["sweep", "case.toml", "--quiet", "--set", "materials.rubber.E=normal(3 %)"]
 LIST = (
     "import sys; from dolfin_elastic.cli.app import guarded; code = guarded(); print(*sys.modules)"
 )
@@ -59,15 +60,19 @@ print(*(kind.__name__ for kind in below(Record) if kind.__pydantic_complete__))
         (["--help"], ["numpy", "mpi4py", "petsc4py", "dolfinx", "ufl", "pydantic", *SLOW]),
         (["check", "case.toml"], SLOW),
         (["run", "case.toml", "--quiet"], ["dolfin_elastic.case.check.report", *OTHERS]),
+        (SWEEP, ["pint", "scipy.sparse", "scipy.stats", "pyvista"]),
     ],
 )
 @pytest.mark.usefixtures("serial_only")
 def test_nothing_is_imported_that_is_not_needed(arguments, unwanted, tmp_path: Path):
-    """Help needs no numerics, check and run of a plain static case what they are about.
+    """Help needs no numerics, check, run and sweep of a plain static case what they are about.
 
     Typer imports rich by itself, which is left as it is.
     """
-    if arguments[0] == "run":  # compiles forms first, for which setuptools imports what it likes
+    if arguments[0] in (
+        "run",
+        "sweep",
+    ):  # compiles forms first, for which setuptools imports what it likes
         listed(LIST, arguments, tmp_path)
     modules = listed(LIST, arguments, tmp_path)
     assert "dolfin_elastic" in modules

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from dolfin_elastic.core.errors import InputError, nearest
+from dolfin_elastic.core.si_text import literal
 from dolfin_elastic.core.startup.elsewhere import elsewhere, plain_matplotlib
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.results.fields import FIELDS
@@ -239,8 +240,3 @@ def _label(name: str, unit: str) -> str:
     text = literal(label_of(name))
     powers = unit.replace("^2", "\u00b2").replace("^3", "\u00b3")
     return f"{text} [{powers}]".strip() if unit else text
-
-
-def literal(text: str) -> str:
-    """A text in which matplotlib finds no formula."""
-    return text.replace("$", r"\$")

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
 
 from dolfin_elastic.core.types import AnyArray, BoolArray, FloatArray, IntArray
 
@@ -106,6 +104,9 @@ def silhouette(x: FloatArray, triangles: IntArray, back: FloatArray, least: floa
 
 
 def _components(a: AnyArray, b: AnyArray, count: int) -> AnyArray:
+    from scipy.sparse import coo_matrix
+    from scipy.sparse.csgraph import connected_components
+
     joints = coo_matrix((np.ones(len(a)), (a, b)), shape=(count, count))
     return np.asarray(connected_components(joints, directed=False)[1])
 

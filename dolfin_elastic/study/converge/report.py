@@ -10,9 +10,9 @@ from typing import Literal
 
 import numpy as np
 
+from dolfin_elastic.core.si_text import literal
 from dolfin_elastic.core.startup.elsewhere import plain_matplotlib
 from dolfin_elastic.results.files import drafted, make_folder, replace_text
-from dolfin_elastic.results.finished.curves import literal
 from dolfin_elastic.study.wanted import Wanted
 
 Verdict = Literal["running", "reached", "singular", "audit", "refinements", "unknowns", "stopped"]

@@ -9,11 +9,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from dolfin_elastic.case.toml import block, key_text
-from dolfin_elastic.core.si_text import percent
+from dolfin_elastic.core.si_text import literal, percent
 from dolfin_elastic.core.startup.elsewhere import plain_matplotlib
 from dolfin_elastic.core.units import stress_unit
 from dolfin_elastic.results.files import drafted, make_folder, replace_text
-from dolfin_elastic.results.finished.curves import literal
 from dolfin_elastic.study.fit.constants import table_with
 from dolfin_elastic.study.fit.curves import KINDS
 from dolfin_elastic.study.fit.fit import Fit, FittedCurve

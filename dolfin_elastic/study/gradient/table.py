@@ -10,11 +10,10 @@ from pathlib import Path
 from typing import TypeVar
 
 from dolfin_elastic.core.errors import InputError, nearest
-from dolfin_elastic.core.si_text import quantity
+from dolfin_elastic.core.si_text import literal, quantity
 from dolfin_elastic.core.startup.elsewhere import plain_matplotlib
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.results.files import drafted
-from dolfin_elastic.results.finished.curves import literal
 from dolfin_elastic.study.tabled import Tabled
 
 T = TypeVar("T")

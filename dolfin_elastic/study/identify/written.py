@@ -14,11 +14,10 @@ from dolfin_elastic.case.case import Case
 from dolfin_elastic.case.restart import meshes_of, portable
 from dolfin_elastic.case.toml import changed_tables, toml_text, value_at
 from dolfin_elastic.core.errors import InputError
-from dolfin_elastic.core.si_text import percent, scaled_unit
+from dolfin_elastic.core.si_text import literal, percent, scaled_unit
 from dolfin_elastic.core.startup.elsewhere import plain_matplotlib
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.results.files import drafted, make_folder, replace_text
-from dolfin_elastic.results.finished.curves import literal
 from dolfin_elastic.study.identify.identify import ComparedSet, Identified
 from dolfin_elastic.study.identify.measured import MeasuredCurve, MeasuredField
 from dolfin_elastic.study.least_squares.fitted import constants_csv

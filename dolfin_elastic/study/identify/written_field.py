@@ -8,12 +8,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from dolfin_elastic.core.parallel import on_root
-from dolfin_elastic.core.si_text import scaled_unit
+from dolfin_elastic.core.si_text import literal, scaled_unit
 from dolfin_elastic.core.startup.elsewhere import plain_matplotlib
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.mesh.fields import MeshField
 from dolfin_elastic.results.files import drafted, make_folder, replace_text
-from dolfin_elastic.results.finished.curves import literal
 from dolfin_elastic.results.writers.xdmf import write_with_fields
 from dolfin_elastic.study.identify.cells import FieldFound
 from dolfin_elastic.study.identify.measured import MeasuredField

@@ -92,8 +92,6 @@ def statistics(design: Design, rows: Sequence[Row]) -> dict[str, Statistics]:
 
 def _sobol(design: Design, rows: Sequence[Row], name: str) -> dict[str, Sobol]:
     """Indices of each setting; none where a row is missing, or nothing changes the result."""
-    from scipy.stats import sobol_indices
-
     n, d = design.base, len(design.scatter)
     good = [row.numbers if row.status == "solved" else {} for row in rows]
     f: FloatArray = np.array([numbers.get(name, math.nan) for numbers in good])
@@ -101,6 +99,8 @@ def _sobol(design: Design, rows: Sequence[Row], name: str) -> dict[str, Sobol]:
         return {}
     if np.ptp(f) <= _ROUND_OFF * np.max(np.abs(f)):
         return {}
+    from scipy.stats import sobol_indices
+
     parts = {"f_A": f[None, :n], "f_B": f[None, n : 2 * n], "f_AB": f[2 * n :].reshape(d, 1, n)}
     found = sobol_indices(func=parts, n=n, rng=np.random.default_rng(0))
     interval = found.bootstrap().total_order.confidence_interval

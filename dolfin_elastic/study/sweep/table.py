@@ -16,12 +16,12 @@ import numpy as np
 
 from dolfin_elastic.case.toml import key_parts
 from dolfin_elastic.core.errors import SolveError
-from dolfin_elastic.core.si_text import percent, quantity, scaled_unit
+from dolfin_elastic.core.si_text import literal, percent, quantity, scaled_unit
 from dolfin_elastic.core.startup.elsewhere import plain_matplotlib
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.core.units import number_and_unit
+from dolfin_elastic.problem.material_regions import STIFF_IN_VOLUME
 from dolfin_elastic.results.files import drafted, json_data, replace_text
-from dolfin_elastic.results.finished.curves import literal
 from dolfin_elastic.study.sweep.numbers import NO_RESULT, unit_of
 from dolfin_elastic.study.sweep.rows import Row
 from dolfin_elastic.study.sweep.settings import Design, short_names, worded
@@ -38,9 +38,11 @@ _NOTHING, _SMALL = 1e-6, 1e-4
 """Deviation over the mean that is none, and size over the largest that is not shown first."""
 _USEFUL = 64
 """Samples from which on Sobol's indices are worth something."""
-_PAUSE = 19.0
+_PAUSE = 99.0
 """Time between two tables over that which the first has taken."""
 _MOST_PANELS, _MOST_LINES = 6, 8
+_ACROSS, _DOWN, _BESIDE, _BELOW = 4.6, 3.0, 1.05, 0.8
+"""Size of a panel of the plot with what stands beside and below it, and of that alone [inches]."""
 _INK = ("#1f5f8b", "#b0562f", "#228833", "#7a3e9d", "#c79a00", "#444444", "#0f9d9d", "#d0527a")
 
 
@@ -97,6 +99,7 @@ class Results(Tabled):
             "run": [row.number for row in self.rows],
             **{key: [row.values.get(key) for row in self.rows] for key in keys},
             "status": [row.status for row in self.rows],
+            "formulation": [row.formulation for row in self.rows],
             **{name: [row.numbers.get(name, math.nan) for row in self.rows] for name in names},
             **{
                 f"{name}_error": [row.errors.get(name, math.nan) for row in self.rows]
@@ -142,6 +145,8 @@ class Results(Tabled):
                 pairs = zip(cells, known, strict=True)
                 cells = [f"{c} ± {percent(e)}" if math.isfinite(e) else c for c, e in pairs]
             result[f"{name} [{unit}]" if unit else name] = cells
+        if len(self._formulations) > 1:
+            result["formulation"] = [row.formulation for row in self.rows]
         result["status"] = [row.status for row in self.rows]
         return {**result, "folder": [row.folder for row in self.rows]}
 
@@ -160,6 +165,33 @@ class Results(Tabled):
 
     def remarks(self) -> list[str]:
         """What is to be known of results, each once, with the runs that it is of."""
+        return [*self._jumps(), *self._remarks_on_results()]
+
+    @cached_property
+    def _formulations(self) -> dict[str, list[int]]:
+        """Formulation to the numbers of the runs that have results with it."""
+        runs = dict[str, list[int]]()
+        for row in self.rows:
+            if row.numbers and row.formulation:
+                runs.setdefault(row.formulation, []).append(row.number)
+        return runs
+
+    def _jumps(self) -> list[str]:
+        """That some runs have a pressure among their unknowns, unless this is what varies."""
+        runs = self._formulations
+        if len(runs) < 2 or any(one.key == "mesh.formulation" for one in self.design.settings):
+            return []
+        each = ", ".join(f"{text} (run {', '.join(map(str, of))})" for text, of in runs.items())
+        # "mixed" gives all materials a pressure where none is nearly incompressible, else only
+        # those that are: with one more that is not, no two runs are alike then.
+        alike = "mixed" if runs.keys() == {"displacement", "mixed"} else "displacement"
+        return [
+            f"formulation: {each}: a pressure is an unknown where nu exceeds {STIFF_IN_VOLUME:g}, "
+            "and results jump there by the error of the mesh; "
+            f'mesh.formulation = "{alike}" makes all runs alike'
+        ]
+
+    def _remarks_on_results(self) -> list[str]:
         runs = dict[tuple[str, str], list[int]]()
         for row in self.rows:
             for name, text in self._remarks_on(row).items():
@@ -209,7 +241,7 @@ class Results(Tabled):
 
 
 class TableAtTimes:
-    """Writes the table while runs go on, so seldom that it takes a twentieth of the time at most.
+    """Writes the table while runs go on, so seldom that it takes a hundredth of the time at most.
 
     After every row, writing n rows n times would take longer than many small runs.
     """
@@ -259,6 +291,7 @@ def _summary(results: Results) -> dict[str, object]:
         "settings": [one.key for one in results.design.settings],
         "units": {name: unit_of(name) for name in results.names},
         "rows": rows,
+        "remarks": results.remarks(),
         "statistics": {name: asdict(one) for name, one in results.statistics.items()},
     }
 
@@ -280,15 +313,29 @@ def draw(results: Results, path: Path) -> None:
     pairs = [(name, key) for name in names for key in _over(results)]
     across = max(len(_over(results)), min(3, len(pairs)))
     down = -(-len(pairs) // across)
-    figure = Figure(figsize=(4.4 * across + 0.6, 2.9 * down + 0.3), layout="constrained")
+    figure = Figure(figsize=(_ACROSS * across, _DOWN * down))
     FigureCanvasAgg(figure)
-    panels = figure.subplots(down, across, squeeze=False).ravel()
+    margins = _margins(across, down)
+    panels = figure.subplots(down, across, squeeze=False, gridspec_kw=margins).ravel()
     for panel, pair in zip(panels, pairs, strict=False):
         _panel(panel, results, *pair)
     for panel in panels[len(pairs) :]:
         panel.remove()
     with drafted(path) as draft:
         figure.savefig(draft, dpi=110, format=path.suffix[1:])
+
+
+def _margins(across: int, down: int) -> dict[str, float]:
+    """Room for numbers and names beside panels; a layout that measures them takes 30 ms a panel."""
+    width, height = _ACROSS - _BESIDE, _DOWN - _BELOW
+    return {
+        "left": 0.9 * _BESIDE / (_ACROSS * across),
+        "right": 1 - 0.1 * _BESIDE / (_ACROSS * across),
+        "bottom": 0.7 * _BELOW / (_DOWN * down),
+        "top": 1 - 0.3 * _BELOW / (_DOWN * down),
+        "wspace": _BESIDE / width,
+        "hspace": _BELOW / height,
+    }
 
 
 def _over(results: Results) -> list[str]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.stats import norm, qmc
 
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.units import number_and_unit
@@ -125,6 +126,25 @@ def test_a_latin_hypercube() -> None:
         assert sorted(np.floor(50 * x).astype(int)) == list(range(50))
     assert rows == design(settings, samples=50, seed=3).rows
     assert rows != design(settings, samples=50, seed=4).rows
+
+
+@pytest.mark.parametrize(("columns", "samples"), [(1, 2), (1, 40), (3, 501)])
+def test_samples_are_those_of_scipy(columns: int, samples: int) -> None:
+    """To the last digit, of what is drawn without it: seeds keep their samples."""
+    cube = qmc.LatinHypercube(columns, rng=np.random.default_rng(7)).random(samples)
+    settings = [read_setting(key, "normal(1, 0.5)") for key in "abc"[:columns]]
+    rows = design(settings, samples=samples, seed=7).rows
+    exact = [[float(f"{x:.7g}") for x in row] for row in norm(1, 0.5).ppf(cube)]
+    assert [list(row.values()) for row in rows] == exact
+
+
+def test_samples_at_the_ends_are_finite() -> None:
+    """Fractions 0 and 1, which Sobol's points may have, as eight deviations."""
+    spread = read_setting("a", "normal(0 K, 1 K)").spread
+    assert spread is not None
+    low, high = (float(str(x).split()[0]) for x in spread.at(np.array([0.0, 1.0])))
+    assert low == pytest.approx(-high, rel=0.01)
+    assert high == pytest.approx(8.2, abs=0.1)
 
 
 def test_samples_of_sobol() -> None:
