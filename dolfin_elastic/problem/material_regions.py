@@ -356,6 +356,14 @@ def describe(plan: Plan, degree: int) -> str:
     )
 
 
+def formulation_of(regions: Sequence[MaterialRegion]) -> str:
+    """Which materials have a pressure: "displacement" (none), "mixed" (all) or "mixed in NAMES"."""
+    mixed = [region.name for region in regions if region.compliance is not None]
+    if not mixed:
+        return "displacement"
+    return "mixed" if len(mixed) == len(regions) else f"mixed in {', '.join(sorted(mixed))}"
+
+
 def volume_modulus(law: Law) -> float:
     """Bulk modulus of a law with a volumetric part of its own [Pa]; 0 without one."""
     if isinstance(law, SplitLaw):

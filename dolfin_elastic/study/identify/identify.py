@@ -281,6 +281,8 @@ def _result(
     )
     if record.failure:
         notes.append(f"the run with these values is not to be relied on: {record.failure}")
+    if jump := runs.jump(values):
+        notes.append(jump)
     return Identified(
         runs.changed(values),
         tuple(runs.unknowns),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field
 
@@ -14,6 +14,7 @@ from dolfin_elastic.case.check.rest import read_body
 from dolfin_elastic.core.errors import CaseError, InputError, SolveError
 from dolfin_elastic.core.petsc_options import PetscOptions
 from dolfin_elastic.core.types import FloatArray, IntArray
+from dolfin_elastic.problem.material_regions import formulation_of
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.problem.state import State
 from dolfin_elastic.solvers.statics.settings import Seconds, StaticsSettings
@@ -23,6 +24,7 @@ from dolfin_elastic.study.identify.measured import Measured, MeasuredCurve, Meas
 from dolfin_elastic.study.identify.points import LocatedPoints, located_field
 from dolfin_elastic.study.identify.tangents import Tangents, differentiable
 from dolfin_elastic.study.identify.unknowns import Unknown
+from dolfin_elastic.study.quiet import quietly
 from dolfin_elastic.study.wanted import Wanted, WantedNumber
 
 _WITH_STATES = ("statics", "dynamics")
@@ -120,6 +122,7 @@ class Runs:
         sets: Without these points, and all points in metres.
         outside: A sentence about the points of each field that are left out.
         count: Runs so far.
+        formulation: Of all runs, as that of the first; see `formulation_of`.
 
     Raises:
         InputError: The case has no run of states, or not what was measured.
@@ -138,6 +141,7 @@ class Runs:
         self._body = read_body(part, comm)
         self._stops: tuple[float, ...] = ()
         self._direct = True
+        self.formulation, self._held = "", dict[str, object]()
         self.outside: list[str] = []
         self.count, self.sets, self._points = 0, list[Measured](), list[LocatedPoints]()
         for one in sets:
@@ -172,14 +176,19 @@ class Runs:
 
     # --- one run ---
 
-    def changed(self, values: FloatArray) -> Case:
+    def changed(self, values: FloatArray, held: Mapping[str, object] | None = None) -> Case:
         """The case with values of what is sought, in the units in which it has them.
+
+        Args:
+            values: Of what is sought, shape (k,).
+            held: Dotted keys to further values, the same in all runs.
 
         Raises:
             InputError: It cannot have them.
         """
         pairs = zip(self.unknowns, values, strict=True)
-        return self.case.changed({one.key: one.written(float(v)) for one, v in pairs})
+        sought = {one.key: one.written(float(v)) for one, v in pairs}
+        return self.case.changed({**(held or {}), **sought})
 
     def record(
         self, values: FloatArray, stops: Sequence[float] = (), *, slopes: bool = False
@@ -196,12 +205,15 @@ class Runs:
             SolveError: No solution was found.
         """
         self.count += 1
-        case = self.changed(values)
+        case = self.changed(values, self._held)
         if stops:
             case = case.changed({"statics.times": self._times(stops)})
         case = self._analysis(case)
         with locate_errors(case.file):
             problem = case.make_problem(self._body)
+            if not self._held:  # beyond nu = 0.45 there would be a pressure, and a jump
+                self._held = {"mesh.formulation": "mixed" if problem.mixed else "displacement"}
+                self.formulation = formulation_of(problem.regions)
             solver = case.make_solver(problem, petsc=self._petsc)
             probe = case.output.make_probe(problem)
             numbers = {wanted: WantedNumber(wanted, problem) for wanted in self._wanted}
@@ -219,6 +231,22 @@ class Runs:
                             row.append(points.displacements(told.u))
                         result.failure = told.failure
         return result
+
+    def jump(self, values: FloatArray) -> str:
+        """What to know where the case with the values found has another formulation; else empty.
+
+        Args:
+            values: Of what is sought, as they were found, shape (k,).
+        """
+        with quietly():
+            problem = self._analysis(self.changed(values)).make_problem(self._body)
+        if (own := formulation_of(problem.regions)) == self.formulation:
+            return ""
+        return (
+            f"all runs have the formulation of the first, {self.formulation}; the case with the "
+            f"values found has {own}, and results jump there by the error of the mesh: "
+            "fit the fitted case once more, or choose mesh.formulation"
+        )
 
     def _tangents(self, case: Case, problem: Problem) -> Tangents | None:
         """Derivatives without differences; None: there are none."""

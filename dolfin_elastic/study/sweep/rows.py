@@ -51,6 +51,7 @@ class Row:
         errors: Name to the estimated relative error of the mesh, where that is known.
         remarks: Name to what is to be known of a result, such as where it was looked for.
         seconds: That it took.
+        formulation: From `formulation_of`; empty where it is not known.
     """
 
     number: int
@@ -63,6 +64,7 @@ class Row:
     errors: Mapping[str, float] = field(default_factory=dict)
     remarks: Mapping[str, str] = field(default_factory=dict)
     seconds: float = 0.0
+    formulation: str = ""
 
     @property
     def ended(self) -> bool:
@@ -229,6 +231,7 @@ def _record(path: Path) -> Row | None:
             errors=errors,
             remarks={str(k): str(v) for k, v in table["remarks"].items()},
             seconds=float(table["seconds"]),
+            formulation=str(table.get("formulation", "")),
         )
     except (OSError, ValueError, KeyError, TypeError, AttributeError):
         return None

@@ -23,6 +23,7 @@ from dolfin_elastic.core.petsc_options import PetscOptions, PetscValue
 from dolfin_elastic.core.together import loop_together
 from dolfin_elastic.core.units import number_and_unit
 from dolfin_elastic.mesh.body import Body
+from dolfin_elastic.problem.material_regions import formulation_of
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.problem.state import State
 from dolfin_elastic.results.recovery.error import ErrorEstimator
@@ -183,6 +184,7 @@ class Sweep:
             errors={name: known.errors[name] for name in numbers if name in known.errors},
             remarks={name: known.remarks[name] for name in numbers if name in known.remarks},
             seconds=round(time.monotonic() - begin, 3),
+            formulation=told.formulation,
         )
 
 
@@ -193,6 +195,9 @@ class _Told:
         wanted: By their names as they were written; none: the usual ones.
         cases: Of all runs.
         elsewhere: Whether another run may have a result, by its text and name; collective.
+
+    Attributes:
+        formulation: Of the run, see `formulation_of`; empty before.
     """
 
     def __init__(
@@ -204,6 +209,7 @@ class _Told:
         self._wanted, self._cases, self._elsewhere = wanted, cases, elsewhere
         self._measured, self._absent = dict[str, float](), dict[str, InputError]()
         self._errors, self._remarks = dict[str, float](), dict[str, str]()
+        self.formulation = ""
 
     def check(self, body: Body) -> None:
         """Checks names of parts before anything is computed. Not collective."""
@@ -218,6 +224,8 @@ class _Told:
             for result in results:
                 if isinstance(result, State) and result.done >= 1.0:
                     self._measure(result, run.problem)
+        assert run.problem is not None
+        self.formulation = formulation_of(run.problem.regions)
 
     def _measure(self, state: State, problem: Problem | None) -> None:
         assert problem is not None

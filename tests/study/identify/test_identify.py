@@ -186,6 +186,30 @@ def test_two_constants_that_one_curve_cannot_tell() -> None:
     assert found[E].value == pytest.approx(1.0)
 
 
+def test_all_runs_have_one_formulation(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Beyond nu = 0.45 no pressure joins in; the fit says so, and once more it begins with one."""
+    nu, mixed, make = "materials.steel.nu", list[bool](), Case.make_problem
+
+    def told(case: Case, body: Any) -> Any:
+        problem = make(case, body)
+        mixed.append(problem.mixed)
+        return problem
+
+    points = replace(FIELD, times=np.full(9, np.nan))
+    (field,) = computed(bar(nu=0.47), [points], [nu])
+    monkeypatch.setattr(Case, "make_problem", told)
+    found = identify(bar(nu=0.44), field, [nu])
+    assert 0.45 < found[nu].value < 0.5
+    assert mixed == [*[False] * (len(mixed) - 1), True]  # the last one to look at the case found
+    (note,) = [text for text in found.notes if "formulation" in text]
+    assert "displacement; the case with the values found has mixed" in note
+    mixed.clear()
+    again = identify(found.case, field, [nu])
+    assert all(mixed)
+    assert again[nu].value == pytest.approx(0.47, rel=EXACT)
+    assert not any("formulation" in text for text in again.notes)
+
+
 def test_runs_that_fail_make_the_step_smaller(monkeypatch: pytest.MonkeyPatch) -> None:
     """The first two steps have no solution; the search comes to the answer nevertheless."""
     (exact,) = computed(bar(), [FIELD], [E])

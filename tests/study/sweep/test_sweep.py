@@ -292,6 +292,68 @@ def test_records_are_read_once(folder: Path, monkeypatch: pytest.MonkeyPatch) ->
     assert len(table(folder / "out")) == n
 
 
+def clamped(folder: Path, **tables: Any) -> Case:
+    """A short bar in plane strain that is held at its left end: it is not homogeneous."""
+    whole = {
+        "mesh": {"rectangle": {"size": [2, 1], "cells": [4, 2]}, "degree": 2},
+        "support": [{"on": "left"}],
+        "output": {"probes": {"end": [2, 1]}},
+    }
+    return bar(folder, **{**whole, **tables})
+
+
+NU = "materials.steel.nu"
+
+
+def test_runs_with_and_without_a_pressure_are_told_apart(folder: Path) -> None:
+    """Across nu = 0.45 a result jumps; with one formulation it goes on as before."""
+    values = {NU: [0.4497, 0.4499, 0.4501]}
+    found = sweep(clamped(folder), values, output=folder / "out")
+    assert [row.formulation for row in found.rows] == ["displacement", "displacement", "mixed"]
+    (remark,) = [text for text in found.remarks() if text.startswith("formulation: ")]
+    assert remark.startswith("formulation: displacement (run 1, 2), mixed (run 3): a pressure is")
+    assert remark.endswith('mesh.formulation = "mixed" makes all runs alike')
+    assert found.texts()["formulation"] == found.columns()["formulation"]
+    assert [row["formulation"] for row in table(folder / "out")] == found.columns()["formulation"]
+    written = json.loads(on_root(WORLD, (folder / "out" / "sweep.json").read_text))
+    assert written["remarks"] == found.remarks()
+
+    def changes(result: Results) -> np.ndarray:
+        return np.diff(np.array(result.columns()["end_y"], dtype=float))
+
+    before, jump = changes(found)
+    assert abs(jump - before) > 10 * abs(before)
+    for one in ("mixed", "displacement"):
+        case = clamped(folder).changed({"mesh.formulation": one})
+        alike = sweep(case, values, output=folder / one)
+        assert not any("formulation" in text for text in alike.remarks())
+        assert "formulation" not in alike.texts()
+        before, after = changes(alike)
+        assert after == pytest.approx(before, rel=0.02)  # the second difference of a smooth result
+
+
+def test_one_formulation_of_several_materials(folder: Path) -> None:
+    """`mixed` gives all a pressure where none needs it: displacements alone make runs alike."""
+    halves = {"left_half": {"box": [[0, 0], [1, 1]]}, "right_half": {"box": [[1, 0], [2, 1]]}}
+    materials = {"steel": {**STEEL, "on": "left_half"}, "foam": {**STEEL, "on": "right_half"}}
+    case = clamped(folder, regions=halves, materials=materials)
+    found = sweep(case, {NU: [0.44, 0.46]}, output=folder / "out")
+    assert [row.formulation for row in found.rows] == ["displacement", "mixed in steel"]
+    assert found.remarks()[0].endswith('mesh.formulation = "displacement" makes all runs alike')
+    mixed = case.changed({"mesh.formulation": "mixed"})
+    found = sweep(mixed, {NU: [0.44, 0.46]}, output=folder / "mixed")
+    assert [row.formulation for row in found.rows] == ["mixed", "mixed in steel"]
+    assert found.remarks()[0].endswith('mesh.formulation = "displacement" makes all runs alike')
+
+
+def test_a_formulation_that_varies_is_no_surprise(folder: Path) -> None:
+    """Its runs are told in the table, without a remark."""
+    values = {"mesh.formulation": ["displacement", "mixed"]}
+    found = sweep(clamped(folder), values, output=folder / "out")
+    assert [row.formulation for row in found.rows] == ["displacement", "mixed"]
+    assert not any("formulation" in text for text in found.remarks())
+
+
 def test_all_rows_fail(folder: Path) -> None:
     """Rubber that is pressed beyond any strain: code 3 and the first cause; nothing is lost."""
     rubber = {"rubber": {"law": "neo-hookean", "E": "1 MPa", "nu": 0.3}}
