@@ -36,7 +36,8 @@ class PointRoots:
         result: Receive z at nodes of discontinuous elements, and the inverse of dr/dz, row by row,
             at the same nodes.
         points: Of the reference cell, shape (points, dim).
-        to_points: Values at the points from those at the nodes, shape (points, nodes).
+        tables: Values at the points from those at the nodes, shape (points, nodes), and the way
+            back.
         variables: To which variable each number belongs, from 0 on.
         start: Gives z at the nodes from which the iteration begins, shape (rows of cells, size).
 
@@ -49,7 +50,7 @@ class PointRoots:
         equations: Expr,
         result: tuple[fem.Function, fem.Function],
         points: FloatArray,
-        to_points: FloatArray,
+        tables: tuple[FloatArray, FloatArray],
         variables: Sequence[int],
         cells: IndexArray,
         start: Callable[[], FloatArray],
@@ -59,15 +60,14 @@ class PointRoots:
     ) -> None:
         (self._found, self._inverse), self._cells, self._start = result, cells, start
         self._w, size = w, len(variables)
-        nodes = to_points.shape[1]
-        sizes = {"N": size, "NQ": len(points), "NN": nodes}
+        sizes = {"N": size, "NQ": len(points), "NN": tables[0].shape[1]}
         loops = Loops("roots.c", sizes)
         self._kernel = CellExpression(equations, points, w, jit_options, loops, follows=False)
         dofmap = self._found.function_space.dofmap
         self._rows = np.ascontiguousarray(dofmap.list[cells]).reshape(-1)
         self._tables = (
-            np.ascontiguousarray(to_points),
-            np.ascontiguousarray(np.linalg.pinv(to_points)),
+            np.ascontiguousarray(tables[0]),
+            np.ascontiguousarray(tables[1]),
             np.asarray(variables, dtype=np.int32),
         )
         self._list = np.ascontiguousarray(dofmap.list)

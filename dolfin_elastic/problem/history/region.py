@@ -29,14 +29,63 @@ from dolfin_elastic.problem.material_regions import MaterialRegion
 
 ROUND_OFF = 1e-12
 """What a value may differ from its start by and count as unchanged."""
+_WELL_POSED = 10.0
+"""Condition up to which points determine orthonormal polynomials: rules of tetrahedra up to degree
+11 have 1 to 9 for polynomials of half their degree, and 30 to 200 where there are hardly more points
+than polynomials."""
+_DEPENDENT = 1e-9
+"""Singular value over the largest one below which rows are linearly dependent."""
+
+
+def polynomials_through(
+    kind: basix.CellType, points: FloatArray
+) -> tuple[int, FloatArray, FloatArray]:
+    """Polynomials of the least degree that take any values at some points of a cell.
+
+    They may be more than the points: six of a triangle may lie on one conic, so that cubics are
+    needed.  Then the values choose a polynomial of the highest degree that the points determine, by
+    least squares, and what is left at the points is taken by further polynomials as small as they
+    can be in L2.  So values of a polynomial of that degree give it everywhere, equal ones a
+    constant; the smallest polynomial of all would be one only at the points.
+
+    Args:
+        points: Shape (points, dim).
+
+    Returns:
+        The degree, values at the points of those at the nodes of the discontinuous element of that
+        degree, shape (points, nodes), and the way back, shape (nodes, points).
+    """
+
+    def of_degree(degree: int, places: FloatArray = points) -> FloatArray:
+        """Orthonormal polynomials at places, the lowest degree first."""
+        legendre = basix.PolynomialType.legendre
+        return np.asarray(basix.tabulate_polynomials(legendre, kind, degree, places).T)
+
+    order = next(n for n in count() if np.linalg.matrix_rank(of_degree(n)) == len(points))
+    low = next(table for n in range(order, -1, -1) if _determined(table := of_degree(n)))
+    high, first = of_degree(order)[:, low.shape[1] :], np.linalg.pinv(low)
+    left = np.eye(len(points)) - low @ first
+    rest = np.linalg.pinv(left @ high, rcond=_DEPENDENT) @ left
+    fit = np.vstack([first @ (np.eye(len(points)) - high @ rest), rest])
+    element = basix.ufl.element("DG", kind, order)
+    table = np.asarray(element.tabulate(0, points)[0]).reshape(len(points), -1)
+    return order, table, of_degree(order, element.basix_element.points) @ fit
+
+
+def _determined(table: FloatArray) -> bool:
+    """Whether values at points determine polynomials, without multiplying their errors.
+
+    Args:
+        table: Orthonormal polynomials at the points, shape (points, polynomials).
+    """
+    return table.shape[1] <= len(table) and bool(np.linalg.cond(table) < _WELL_POSED)
 
 
 class RegionHistory:
     """The history of one material region. Collective to make.
 
-    Its values are polynomials in each cell, discontinuous, of the least degree that takes any
-    values at the points of integration: there they are exact, and the stress has a value
-    everywhere.
+    Its values are polynomials in each cell, discontinuous, see `polynomials_through`: at the points
+    of integration they are exact, and the stress has a value everywhere.
 
     Args:
         degree: Of the quadrature of the region's internal forces.
@@ -57,12 +106,7 @@ class RegionHistory:
         assert memory is not None
         self.memory: Memory = memory
         self.points = basix.make_quadrature(kind, degree)[0]
-        for order in count():
-            table = basix.ufl.element("DG", kind, order).tabulate(0, self.points)[0]
-            if np.linalg.matrix_rank(table) == len(self.points):
-                break
-        self._table = np.asarray(table).reshape(len(self.points), -1)
-        self._to_nodes = np.linalg.pinv(self._table)
+        order, self._table, self._to_nodes = polynomials_through(kind, self.points)
         self.cells = region.cells
         self._spaces = {
             size: fem.functionspace(mesh, ("DG", order, (size,)))
@@ -133,7 +177,7 @@ class RegionHistory:
             root.to_solve(law.equations(F)),
             (self._found, self._inverse),
             self.points,
-            self._table,
+            (self._table, self._to_nodes),
             [k for k, v in enumerate(root.variables) for _ in range(v.size)],
             self.cells,
             lambda: np.hstack([self._rows_of(v) for v in root.variables]),
