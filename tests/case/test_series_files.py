@@ -73,7 +73,7 @@ WRONG = [
     ("g_i,tau\n0.3,1\n", {}, "there is no column 'ratio'"),
     ("0.3,1\n", {}, "the file has no headings, so no column 'ratio'"),
     ("ratio,time\n", {}, "headings but no numbers"),
-    ("", {}, "two columns"),
+    ("", {}, "the table is empty"),
     ("ratio,time\n0.3,1\n0.2\n", {}, "line 3 ends too early: '0.2'"),
     ("ratio,time\n0.3,soon\n", {}, "'soon' is not a number, in line 2: '0.3,soon'"),
     ("# 1\nratio,time\nnan,1\n", {}, "'nan' is not a number, in line 3"),

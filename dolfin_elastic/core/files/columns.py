@@ -150,11 +150,35 @@ def read_csv(path: Path) -> CsvTable:
         raise InputError(
             "this is no text file that can be read", expected="columns of numbers, saved in UTF-8"
         ) from None
-    if not rows or len(rows[0][1]) < 2:
-        raise InputError("a table needs two columns", expected="for example a line 0.1, 2.5")
-    cell = rows[0][1][0]
-    head = None if is_number(cell) or is_quantity(cell) else rows.pop(0)[1]
+    if not rows:
+        raise InputError("the table is empty", expected="for example a line 0.1, 2.5")
+    line, first_row = rows[0]
+    if len(first_row) < 2:
+        blanks = len(first_row[0].split()) > 1
+        raise InputError(
+            f"line {line}: a table needs two columns",
+            expected="a comma, semicolon or tab between columns, not blanks"
+            if blanks
+            else "for example a line 0.1, 2.5",
+        )
+    head = None if is_number(first_row[0]) or is_quantity(first_row[0]) else rows.pop(0)[1]
+    if head is not None:
+        _check_widths(head, rows, mark)
     return CsvTable(head, rows, mark)
+
+
+def _check_widths(head: Sequence[str], rows: Sequence[tuple[int, list[str]]], mark: str) -> None:
+    """Refuses cells beyond the last heading, as a decimal comma makes them.
+
+    Raises:
+        InputError: A line has some.
+    """
+    for line, row in rows:
+        if any(row[len(head) :]):
+            raise InputError(
+                f"line {line} has {len(row)} cells below {len(head)} headings: {mark.join(row)!r}",
+                expected="decimal points, not commas; and a heading for each column",
+            )
 
 
 def heading(text: str) -> tuple[str, str]:

@@ -82,6 +82,8 @@ def _descendants(process: int) -> Iterator[int]:
 T = TypeVar("T")
 SLOW = 3.0
 """Seconds of compiling, of one form or of several, after which a line says so."""
+AGAIN = 120.0
+"""Seconds since that line before which no other one says so: a run compiles its forms in turn."""
 # No -ffast-math: it would hide the NaN and Inf by which an inverted element is seen.
 # Without the second scheduling pass: on the long straight-line code of a tangent at one point gcc
 # takes minutes for it (130 s against 0.4 s for a neo-Hookean solid), and the code is no faster.
@@ -306,11 +308,13 @@ class _Silence:
     """How long forms have been compiled, one after the other, since a line has last said so."""
 
     def __init__(self) -> None:
-        self._seconds, self._since = 0.0, 0.0
+        self._seconds, self._since, self._told = 0.0, 0.0, -AGAIN
 
     def _break(self) -> None:
-        log.info("compiling ... (only in the first run)")
         self._since = monotonic()
+        if self._since - self._told >= AGAIN:
+            self._told = self._since
+            log.info("compiling ... (only in the first run)")
 
     @contextmanager
     def broken_after(self, seconds: float) -> Iterator[None]:

@@ -31,8 +31,8 @@ ROUND_OFF = 1e-12
 """What a value may differ from its start by and count as unchanged."""
 _WELL_POSED = 10.0
 """Condition up to which points determine orthonormal polynomials: rules of tetrahedra up to degree
-11 have 1 to 9 for polynomials of half their degree, and 30 to 200 where there are hardly more points
-than polynomials."""
+11 have 1 to 9 for polynomials of half their degree, and 30 to 200 where there are hardly more
+points than polynomials."""
 _DEPENDENT = 1e-9
 """Singular value over the largest one below which rows are linearly dependent."""
 

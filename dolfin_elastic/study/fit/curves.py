@@ -96,6 +96,12 @@ KINDS: Mapping[str, TestKind] = {
 
 _PULLED = ("uniaxial", "equibiaxial", "planar")
 """Tests whose stress has the sign of the strain."""
+_SIGNS = {
+    "shear": "stresses of the sign of the shear",
+    "volumetric": "pressures above 0 where the volume is smaller, below J = 1",
+    "relaxation": "stresses below 0 in compression, above in tension",
+}
+"""What is expected where signs are wrong, of tests whose columns cannot be mistaken."""
 _ABOUT_REST = 0.9
 """A strain above this in all rows may be a stretch, which is 1 at rest."""
 
@@ -287,7 +293,8 @@ def _numbers(
         try:
             factor = unit_to_si(unit, meaning.unit)
         except UnitError as error:
-            raise CaseError(error.what, where=where, expected=error.expected) from None
+            hint = error.expected if meaning.unit else "a pure number, or %"
+            raise CaseError(error.what, where=where, expected=hint) from None
     if not table.rows:
         raise CaseError("there are headings but no numbers", where=where)
     return numbers(table, index, meaning.unit, where, factor=factor)
@@ -345,22 +352,24 @@ def _checked(
             where=source,
             expected="one stretch in all lines; cyclic follows any stretch over time",
         )
+    at = heads.get(what, what)
+    where, strain = f"{source}: {at}", "strain" in at.casefold()
     if kind in _PULLED:
-        at = heads.get(first, first)
-        _check_signs(curve, f"{source}: {at}", "strain" in at.casefold())
+        _check_rest(curve, where, strain)
+    if kind != "cyclic":  # whose stress may push where the bar is longer, once it has flowed
+        _check_signs(curve, where, strain)
     return curve
 
 
-def _check_signs(curve: TestCurve, where: str, strain: bool) -> None:
-    """Refuses a strain in the place of a stretch, the reverse, and pressures as stresses.
+def _check_rest(curve: TestCurve, where: str, strain: bool) -> None:
+    """Refuses a strain in the place of a stretch, and the reverse.
 
     Args:
         where: File and column of the stretch or strain.
         strain: By its heading it has strains, 0 at rest.
 
     Raises:
-        InputError: Most stresses pull where the bar is shorter or push where it is longer, or the
-            stress vanishes where nothing is at rest.
+        InputError: The stress vanishes where nothing is at rest.
     """
     size = np.abs(curve.stress)
     order = np.argsort(size)
@@ -379,13 +388,29 @@ def _check_signs(curve: TestCurve, where: str, strain: bool) -> None:
             where=where,
             expected="a stretch, 1 at rest: is this column a strain?",
         )
-    wrong = int(np.sum(curve.stress * (curve.x - 1) < 0))
-    if 2 * wrong > len(size):
-        away = np.abs(curve.x - 1)
-        grows = float(np.dot(size - size.mean(), away - away.mean())) > 0
+
+
+def _check_signs(curve: TestCurve, where: str, strain: bool) -> None:
+    """Refuses stresses of the wrong sign, which no law has, such as pressures.
+
+    Args:
+        where: See `_check_rest`, as for `strain`.
+
+    Raises:
+        InputError: Most stresses pull where the bar is shorter or push where it is longer.
+    """
+    size, away = np.abs(curve.stress), curve.x - curve.mode.rest
+    wrong = int(np.sum(curve.stress * away < 0))
+    if 2 * wrong <= len(size):
+        return
+    if curve.kind in _SIGNS:
+        hint = _SIGNS[curve.kind]
+    else:
+        grows = float(np.dot(size - size.mean(), np.abs(away) - np.abs(away).mean())) > 0
         ask = f"is this column a {'stretch' if strain else 'strain'}?"
-        raise CaseError(
-            f"{wrong} of {len(size)} stresses have the sign opposite to that of the strain",
-            where=where,
-            expected=f"stresses below 0 in compression, above in tension; {ask}" if grows else ask,
-        )
+        hint = f"stresses below 0 in compression, above in tension; {ask}" if grows else ask
+    raise CaseError(
+        f"{wrong} of {len(size)} stresses have the sign opposite to that of the strain",
+        where=where,
+        expected=hint,
+    )

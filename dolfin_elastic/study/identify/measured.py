@@ -88,6 +88,8 @@ class MeasuredCurve:
         weight: Of its mean square error in the sum that is made least.
         source: Its file; empty: it was given in Python.
         bare: Headings whose numbers have no unit, and were read in SI units.
+        lines: Where they stand in the file, shape (n,), for messages.
+        column: Of x in the file, the same.
     """
 
     x: Number
@@ -97,6 +99,8 @@ class MeasuredCurve:
     weight: float = 1.0
     source: str = ""
     bare: tuple[str, ...] = ()
+    lines: tuple[int, ...] = ()
+    column: str = ""
 
     def __post_init__(self) -> None:
         """Refuses a curve that says nothing."""
@@ -121,6 +125,7 @@ class MeasuredField:
         lines: Where they stand in the file, shape (n,), for messages.
         in_mesh_unit: The points are in the unit of the mesh.
         weight: See `MeasuredCurve`, as for `source` and `bare`.
+        column: Of the times in the file, for messages.
     """
 
     points: FloatArray
@@ -132,6 +137,7 @@ class MeasuredField:
     weight: float = 1.0
     source: str = ""
     bare: tuple[str, ...] = ()
+    column: str = ""
 
     def __post_init__(self) -> None:
         """Refuses a field that says nothing."""
@@ -154,6 +160,13 @@ class MeasuredField:
 
 
 Measured = MeasuredCurve | MeasuredField
+
+
+def place_of(one: Measured, row: int) -> tuple[str, str]:
+    """Where a row stands, for messages: file and column, and "line 3: "; of no file its label."""
+    if not one.source:
+        return one.label, ""
+    return f"{one.source}: {one.column}", f"line {one.lines[row]}: "
 
 
 def _check_numbers(values: FloatArray, where: str) -> None:
@@ -186,7 +199,7 @@ def read_measured(path: Path, of: Iterator[str | None]) -> list[Measured]:
         hint = error.expected.replace("paths are relative to the case file", "")
         raise CaseError(error.what, where=file, expected=hint) from None
     if not table.rows:
-        raise CaseError("there are headings but no numbers", where=file)
+        raise CaseError("there are headings but no numbers", where=f"{file}: line 1")
     names = [_plain(head) for head in table.head or ()]
     if any(name in _SHIFTS for name in names) and ("x" in names or "y" in names):
         return [_field(table, names, file)]
@@ -217,7 +230,19 @@ def _curves(table: CsvTable, of: str | None, file: str) -> list[MeasuredCurve]:
     result = []
     for i, y in enumerate(others, start=1):
         values, also = _column(table, i, y.unit, file)
-        result.append(MeasuredCurve(x, y, at, values, source=file, bare=(*bare, *also)))
+        lines, column = tuple(line for line, _ in table.rows), _name(table, 0)
+        result.append(
+            MeasuredCurve(
+                x,
+                y,
+                at,
+                values,
+                source=file,
+                bare=(*bare, *also),
+                lines=lines,
+                column=column,
+            )
+        )
     return result
 
 
@@ -272,13 +297,19 @@ def _field(table: CsvTable, names: Sequence[str], file: str) -> MeasuredField:
         in_mesh_unit=all(bare),
         source=file,
         bare=tuple(head for name in shifts for head in columns[name][1]),
+        column="" if time is None else _name(table, time),
     )
+
+
+def _name(table: CsvTable, index: int) -> str:
+    """A column for messages."""
+    return f"column '{table.head[index]}'" if table.head else f"column {index + 1}"
 
 
 def _column(table: CsvTable, index: int, unit: str, file: str) -> tuple[FloatArray, list[str]]:
     """A column in SI units, shape (n,), and its heading where its numbers have no unit."""
     head = table.head[index] if table.head else ""
-    where = f"{file}: column '{head}'" if head else f"{file}: column {index + 1}"
+    where = f"{file}: {_name(table, index)}"
     given = heading(head)[1]
     if given and not unit and heading(head)[0].casefold() in _TIMES:
         unit = "s"

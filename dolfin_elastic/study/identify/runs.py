@@ -13,6 +13,7 @@ from dolfin_elastic.case.case import Case, locate_errors
 from dolfin_elastic.case.check.rest import read_body
 from dolfin_elastic.core.errors import CaseError, InputError, SolveError
 from dolfin_elastic.core.petsc_options import PetscOptions
+from dolfin_elastic.core.si_text import number, quantity
 from dolfin_elastic.core.types import FloatArray, IntArray
 from dolfin_elastic.problem.material_regions import formulation_of
 from dolfin_elastic.problem.problem import Problem
@@ -20,7 +21,12 @@ from dolfin_elastic.problem.state import State
 from dolfin_elastic.solvers.statics.settings import Seconds, StaticsSettings
 from dolfin_elastic.solvers.statics.statics import Statics
 from dolfin_elastic.study.gradient.gradient import places_of_probes
-from dolfin_elastic.study.identify.measured import Measured, MeasuredCurve, MeasuredField
+from dolfin_elastic.study.identify.measured import (
+    Measured,
+    MeasuredCurve,
+    MeasuredField,
+    place_of,
+)
 from dolfin_elastic.study.identify.points import LocatedPoints, located_field
 from dolfin_elastic.study.identify.tangents import Tangents, differentiable
 from dolfin_elastic.study.identify.unknowns import Unknown
@@ -76,7 +82,7 @@ class Record:
         kept = self._growing(x)
         if kept is None:
             raise SolveError(
-                f"{curve.x.text} does not grow all the time in this run",
+                f"{curve.label}: {curve.x.text} does not grow all the time in this run",
                 advice="a curve over t: a column t with load parameters or times",
             )
         order = kept[np.argsort(x[kept])]
@@ -283,10 +289,14 @@ class Runs:
             InputError: The run has not what was measured.
             SolveError: It has no solution, or does not come to all points.
         """
-        settings = self._settings()
-        if self._analysis(self.case).analysis != "statics" or settings.method != "load":
+        part, settings = self._analysis(self.case), self._settings()
+        statics = part.analysis == "statics"
+        end = float(settings.end if statics or part.dynamics is None else part.dynamics.end)
+        if settings.method == "load" or not statics:
+            for one in self.sets:
+                _check_times(one, end, f"{part.analysis}.end")
+        if not statics or settings.method != "load":
             return
-        end = float(settings.end)
         stops = [
             float(t)
             for one in self.sets
@@ -299,12 +309,6 @@ class Runs:
             for curve in others:
                 t, x, _ = found.of(curve)
                 stops += [float(one) for one in _few(np.interp(curve.at, x, t))]
-        for one in stops:
-            if one > end * (1 + _REACH):
-                raise CaseError(
-                    f"something was measured at t = {one:g}, beyond the end of the run",
-                    expected=f"at most statics.end = {end:g}",
-                )
         self._stops = tuple(min(one, end) for one in stops)
 
     # --- all numbers ---
@@ -425,16 +429,42 @@ def _of_time(curve: MeasuredCurve) -> FloatArray:
     return curve.at * 1.0 if curve.x.is_time else np.empty(0)
 
 
+def _check_times(one: Measured, end: float, key: str) -> None:
+    """Refuses what was measured when no run is.
+
+    Args:
+        end: Of the run, where the case has it.
+        key: There.
+    """
+    times = one.times if isinstance(one, MeasuredField) else _of_time(one)
+    bad = np.flatnonzero((times > end * (1 + _REACH)) | (times < 0))
+    if len(bad):
+        where, line = place_of(one, int(bad[0]))
+        t = float(times[bad[0]])
+        beyond = "beyond the end of the run" if t > 0 else "before the run"
+        raise CaseError(
+            f"{line}something was measured at t = {t:g}, {beyond}",
+            where=where,
+            expected=f"from 0 to {key} = {end:g}",
+        )
+
+
 def _check_reach(curve: MeasuredCurve, x: FloatArray) -> None:
     """Refuses a run that does not come to all points of a curve."""
-    room, unit = _REACH * float(x[-1] - x[0]), curve.x.unit
-    for far in (float(curve.at.min()), float(curve.at.max())):
+    room = _REACH * float(x[-1] - x[0])
+    for row in (int(curve.at.argmin()), int(curve.at.argmax())):
+        far = float(curve.at[row])
         if not x[0] - room <= far <= x[-1] + room:
-            run = f"{x[0]:.6g} to {x[-1]:.6g} {unit}".rstrip()
+            where, line = place_of(curve, row)
+            low, high, at = (_with_unit(value, curve.x.unit) for value in (x[0], x[-1], far))
             raise SolveError(
-                f"{curve.label}: measured at {far:.6g}, but {curve.x.text} runs from {run}",
+                f"{where}: {line}measured at {at}, but {curve.x.text} runs from {low} to {high}",
                 advice="more load in the case; or a curve over what the case prescribes",
             )
+
+
+def _with_unit(value: float, unit: str) -> str:
+    return quantity(value, unit) if unit else number(value)
 
 
 def _interpolated(

@@ -6,13 +6,15 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from dolfin_elastic.core.si_text import listed
+from dolfin_elastic.core.si_text import listed, number, quantity
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.study.least_squares.certainty import Certainty
 from dolfin_elastic.study.least_squares.problem import LeastSquares
 
 _ALIKE = 0.95
 """Correlation from which on two constants are hardly told apart."""
+_NOTHING = 1e-6
+"""Bound, over the size of a constant, that is 0 but for what keeps the constant above it."""
 
 
 def remarks_on(
@@ -60,6 +62,18 @@ def remarks_on(
     ]
     if pairs:
         notes.append(f"strongly correlated: {', '.join(pairs)}")
-    for i in np.flatnonzero(known.bound):
-        notes.append(f"{names[i]} is at a bound of its range: {what} may not suit the {data}")
+    notes += [
+        f"{names[i]} is at a bound of its range: the {data} want {_beyond(model, z, i)}, "
+        f"which {what} cannot have"
+        for i in np.flatnonzero(known.bound)
+    ]
     return unknown, notes
+
+
+def _beyond(model: LeastSquares, z: FloatArray, i: int) -> str:
+    """On which side of its range a constant would be, such as "less than 0 Pa"."""
+    row, below = model.free[i], z[i] - model.low[i] < model.high[i] - z[i]
+    limit = row.low if below else row.high
+    limit = 0.0 if abs(limit) < _NOTHING * row.scale else limit
+    text = quantity(limit, row.unit) if row.unit else number(limit)
+    return f"{'less' if below else 'more'} than {text}"

@@ -71,8 +71,14 @@ def search(model: LeastSquares, starts: int, evaluations: int) -> Answer:
     if not ends:
         raise model.no_start()
     answer = min(ends, key=lambda one: one.cost)
-    z = np.where(seen(model, answer.z), answer.z, model.start)
-    return replace(answer, z=z, starts=len(ends), same=len(_same(ends)))
+    answer = replace(answer, starts=len(ends), same=len(_same(ends)))
+    visible = seen(model, answer.z)
+    if visible.all():
+        return answer
+    # What nothing sees where it has come to stays where it began, unless it is seen there.
+    z = np.where(visible, answer.z, model.start)
+    cost = float(np.sum(model.residuals(z) ** 2))
+    return replace(answer, z=z) if cost <= answer.cost * (1 + _SAME) + 1e-24 else answer
 
 
 def _same(ends: Sequence[Answer]) -> list[Answer]:
@@ -85,6 +91,10 @@ def spread(model: LeastSquares, count: int) -> list[FloatArray]:
     """Values to start from: those given first, then random ones that are always the same."""
     draw = np.random.default_rng(20)
     return [model.start, *(model.another_start(draw) for _ in range(count - 1))]
+
+
+class _NoSlopesError(Exception):
+    """A descent has come to constants where the numbers have no derivatives."""
 
 
 class _Projected:
@@ -124,7 +134,7 @@ class _Projected:
 def _descend(
     model: LeastSquares, z: FloatArray, linear: BoolArray, evaluations: int
 ) -> Answer | None:
-    """Where a descent from one start ends; None: it cannot begin."""
+    """Where a descent from one start ends; None: it cannot begin, or comes where nothing ends."""
     from scipy.optimize import least_squares
 
     inside = 1e-8 * np.maximum(np.abs(z), 1e-3)
@@ -133,17 +143,27 @@ def _descend(
     x, bounds = z[~linear], (model.low[~linear], model.high[~linear])
     if not (np.isfinite(part.residuals(x)).all() and np.isfinite(part.sensitivities(x)).all()):
         return None
-    found = least_squares(
-        part.residuals,
-        x,
-        part.sensitivities,
-        bounds,
-        x_scale="jac",
-        ftol=_TOLERANCE,
-        xtol=_TOLERANCE,
-        gtol=_TOLERANCE,
-        max_nfev=evaluations,
-    )
+
+    def slopes(x: FloatArray) -> FloatArray:
+        found = part.sensitivities(x)
+        if not np.isfinite(found).all():  # beside constants whose numbers have no value
+            raise _NoSlopesError
+        return found
+
+    try:
+        found = least_squares(
+            part.residuals,
+            x,
+            slopes,
+            bounds,
+            x_scale="jac",
+            ftol=_TOLERANCE,
+            xtol=_TOLERANCE,
+            gtol=_TOLERANCE,
+            max_nfev=evaluations,
+        )
+    except _NoSlopesError:
+        return None
     why = f"{evaluations} steps are done" if found.status == 0 else "least squares"
     z = part.whole(found.x)
     return Answer(z, 2 * float(found.cost), found.status > 0, why, 1, 1)

@@ -14,7 +14,7 @@ from mpi4py import MPI
 
 from dolfin_elastic import MooneyRivlin, NeoHookean, fit
 from dolfin_elastic.case.tables import Material
-from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.core.errors import InputError, SolveError
 from dolfin_elastic.model.materials.registry import MATERIALS
 from dolfin_elastic.study.fit.constants import chosen, constants_of, guessed, table_with
 from dolfin_elastic.study.fit.curves import TestCurve, read_curve
@@ -56,7 +56,16 @@ def test_headings_units_and_measures(tmp_path):
         ("uniaxial", GOOD.replace("1.2", "-1.2"), ("line 3", "column 'stretch'", "-1.2")),
         ("uniaxial", GOOD.replace("0.2", ""), ("line 3", "empty")),
         ("uniaxial", GOOD.replace("stress", "stress [mm]"), ("column 'stress [mm]'", "mm")),
-        ("uniaxial", "stretch,stress\n", ("no numbers",)),
+        ("uniaxial", "stretch,stress\n", ("column 'stretch'", "no numbers")),
+        ("uniaxial", "# nothing\n", ("the table is empty",)),
+        ("uniaxial", "# a test\nstretch\n1.1\n", ("line 2", "two columns")),
+        ("uniaxial", "stretch stress\n1.1 0.2\n", ("line 1", "two columns", "not blanks")),
+        ("uniaxial", "stretch,stress\n1,1,0,5\n", ("line 2 has 4 cells", "decimal points")),
+        ("uniaxial", "stretch [mm],stress\n1.1,1\n", ("column 'stretch [mm]'", "pure number")),
+        ("uniaxial", "stretch,stress [foo]\n1.1,1\n", ("column 'stress [foo]'", "unknown unit")),
+        ("shear", "shear,stress\n0.1,-1\n0.2,-2\n", ("column 'shear'", "2 of 2", "sign")),
+        ("volumetric", "J,pressure\n0.9,-1\n0.8,-2\n", ("column 'J'", "2 of 2", "above 0")),
+        ("relaxation", "time,stress,stretch\n1,-2,1.1\n2,-1,1.1\n", ("'stretch'", "2 of 2")),
         ("relaxation", "time,stress\n1,2\n2,1\n", ("constant stretch",)),
         ("relaxation", "time,stress,stretch\n1,2,1.1\n0.5,1,1.1\n", ("line 3", "falls")),
         ("relaxation", "time,stress,stretch\n1,2,1.1\n2,1,1.2\n", ("not constant",)),
@@ -259,6 +268,45 @@ def test_codes_of_the_command(tmp_path):
     assert code == 3
     assert "[materials.rubber]" in out
     assert "has not ended: 2 steps are done" in err
+
+
+FALLING = (np.array([1.1, 1.2, 1.5, 2.0, 2.5, 3.0]), np.array([1, 1.2, -3, -20, -30, -40]) * 1e5)
+
+
+@pytest.mark.parametrize(
+    ("law", "name"),
+    [
+        ({"law": "neo-hookean", "mu": "fit", "nu": 0.5}, "mu"),
+        ({"law": "neo-hookean", "mu": "fit", "nu": 0.45}, "mu"),
+        ({"law": "yeoh", "c10": "fit", "c20": "fit", "c30": "fit", "nu": 0.5}, "c10"),
+        ({"law": "linear-elastic", "E": "fit", "nu": 0.3}, "E"),
+    ],
+)
+def test_what_the_law_cannot_give(law, name):
+    """Stresses that push where the bar is longer: the modulus stays above 0, and a note says so."""
+    curve = TestCurve("uniaxial", *FALLING)  # which files and arrays may not have
+    found = fit(law, {"uniaxial": curve})
+    assert found[name].bound
+    assert 0 < found[name].value < 1e-6 * np.abs(FALLING[1]).max()
+    note = f"{name} is at a bound of its range: the tests want less than 0 Pa, which the law"
+    assert any(line.startswith(note) for line in found.notes)
+
+
+def test_a_search_that_comes_to_constants_without_stress():
+    """Free sides have no state there: an error of the search, none of the program."""
+    law = {"law": "yeoh", "c10": "fit", "c20": "fit", "c30": "fit", "nu": 0.45}
+    with pytest.raises(SolveError, match="no stress at some of the points, whatever the start"):
+        fit(law, {"uniaxial": TestCurve("uniaxial", *FALLING)})
+
+
+def test_a_relaxation_that_grows():
+    """The least squares of branches that fade are without any: the mean stress, 3e5 Pa."""
+    law = {"law": "neo-hookean-split", "mu": "1 MPa", "nu": 0.5}
+    law["viscous"] = [{"ratio": "fit", "time": "fit"}]
+    stress = 1e5 * np.arange(1.0, 6.0)
+    curve = TestCurve("relaxation", np.full(5, 1.1), stress, np.array([1, 10, 30, 100, 300.0]))
+    found = fit(law, {"relaxation": curve})
+    assert found.curves[0].stress == pytest.approx(np.full(5, 3e5), rel=1e-6)
 
 
 def test_what_to_doubt_of_an_answer(tmp_path):

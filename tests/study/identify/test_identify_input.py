@@ -11,7 +11,7 @@ from helpers.processes import cli
 from mpi4py import MPI
 
 from dolfin_elastic import Case, identify, read_case
-from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.core.errors import InputError, SolveError
 from dolfin_elastic.study.identify.measured import (
     MeasuredCurve,
     MeasuredField,
@@ -90,6 +90,9 @@ def test_headings_name_numbers_and_units(tmp_path: Path) -> None:
         (CURVE.replace("-300", "nan"), None, ("line 2", "not a finite number")),
         (CURVE.replace("-300", ""), None, ("line 2", "empty")),
         (CURVE.replace(",-300", ""), None, ("line 2 ends too early",)),
+        (CURVE.replace("-300", "-300,1"), None, ("line 2 has 3 cells below 2 headings",)),
+        ("", None, ("the table is empty",)),
+        ("t\n1\n", None, ("line 1", "two columns")),
         (CURVE.replace("-300", "0").replace("-600", "0"), None, ("all numbers are 0",)),
         ("t,reaction_left_x\n", None, ("no numbers",)),
         (FIELD.replace("y [mm]", "q"), None, ("line 1", "no column has the y")),
@@ -192,6 +195,28 @@ def test_what_was_measured_beyond_the_run_and_beside_states(tmp_path: Path) -> N
     )
     with pytest.raises(InputError, match="t = 2, beyond the end of the run"):
         identify(case, curve, ["materials.steel.E"])
+    file = tmp_path / "a.csv"
+    for text, place in (
+        (CURVE.replace("\n1,", "\n1.5,"), "column 't': line 3: something was measured at t = 1.5"),
+        (
+            CURVE.replace("0.5", "-1"),
+            "column 't': line 2: something was measured at t = -1, before",
+        ),
+        ("t [s]," + FIELD.replace("\n", "\n2,", 2), "column 't [s]': line 2: something was"),
+    ):
+        file.write_text(text)
+        with pytest.raises(InputError) as caught:
+            identify(case, file, ["materials.steel.E"])
+        assert str(caught.value).startswith(f"{file}: {place}")
+    file.write_text("displacement of right [mm],reaction_x of left [N]\n0.5,-300\n3,-600\n")
+    with pytest.raises(SolveError) as failed:
+        identify(case, file, ["materials.steel.E"])
+    assert f"{file}: column 'displacement of right [mm]': line 3: measured at 3 mm" in str(
+        failed.value
+    )
+    file.write_text("t,b_beyond\n0.5,-300\n1,-600\n")
+    with pytest.raises(InputError, match=r"a\.csv: line 1: there is no result 'b_beyond'"):
+        identify(case, file, ["materials.steel.E"])
     modes = Case.from_dict({**case.to_dict(), "modal": {}}).changed(
         {"materials.steel.density": 1e3}
     )
