@@ -74,7 +74,7 @@ SCHUR: dict[str, PetscValue] = {
     "pc_fieldsplit_schur_precondition": "user",
     "fieldsplit_u_ksp_type": "preonly",
     "fieldsplit_p_ksp_type": "preonly",
-    "fieldsplit_p_pc_type": "jacobi",
+    "fieldsplit_p_pc_type": "sor",
 }
 """Displacement and pressure apart; see `PressureSplit`."""
 

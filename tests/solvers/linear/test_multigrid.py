@@ -178,7 +178,7 @@ LEVELS: dict[str, dict[str, Any]] = {
         "fieldsplit_u_mg_levels_ksp_max_it": 4,
         "fieldsplit_u_mg_coarse_mg_levels_ksp_max_it": 2,
         "fieldsplit_u_mg_coarse_pc_gamg_threshold": 0.02,
-        "fieldsplit_p_pc_jacobi_type": "diagonal",
+        "fieldsplit_p_pc_sor_its": 2,
     },
 }
 
