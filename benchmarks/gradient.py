@@ -27,12 +27,12 @@ KEY, ROUNDS = "materials.body.mu", 3
 
 
 def median(work):
-    """Median wall time of a few rounds [s], and what the last one has given."""
+    """Median processor time of a few rounds [s], and what the last one has given."""
     times = []
     for _ in range(ROUNDS):
-        begin = time.perf_counter()
+        begin = time.process_time()
         result = work()
-        times.append(time.perf_counter() - begin)
+        times.append(time.process_time() - begin)
     return float(np.median(times)), result
 
 
@@ -46,13 +46,13 @@ def measure(n: int, nu: float, degree: int) -> None:
         degree=degree,
     )
     ours, by = functionals(NUMBERS, problem, {}), parameters([KEY], problem, None)
-    spent, begin = {}, time.perf_counter()
+    spent, begin = {}, time.process_time()
 
     def look(newton, state):
         nonlocal begin
         if state.done < 1.0:
             return
-        step = (time.perf_counter() - begin) / state.newton
+        step = (time.process_time() - begin) / state.newton
         here = Equilibrium(newton, lambda _: ours, ours, state.t)
         here.evaluated()
         spent["tangent"], adjoint = median(lambda: Adjoint(newton))
@@ -72,12 +72,12 @@ def measure(n: int, nu: float, degree: int) -> None:
             print(f"iterations; of the adjoints {iterations}")
             for name, seconds in spent.items():
                 print(f"  {name:10s} {seconds / step:.2f} Newton steps")
-        begin = time.perf_counter()
+        begin = time.process_time()
 
     solver = Statics(problem)
     solver.observer = look
     for _ in solver.steps():
-        begin = begin if spent else time.perf_counter()
+        begin = begin if spent else time.process_time()
 
 
 def main() -> None:

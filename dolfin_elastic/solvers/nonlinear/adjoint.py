@@ -28,9 +28,12 @@ if TYPE_CHECKING:
     from dolfin_elastic.solvers.nonlinear.newton import Newton
 
 DIGITS, WITH_FACTORS = 1e-8, 1e-11
-"""Residual of an adjoint over its right-hand side, and about the relative error of a gradient.
+"""Residual r of an adjoint over its right-hand side, and about the relative error of a gradient.
 
-Pressures of nearly incompressible bodies lose some of the digits, and factors give more for little.
+The error of dQ/dm is r . du/dm, at most |r| |du/dm|, with the norm of K^-1 of r and that of K of
+du/dm.  Conjugate gradients know the former as r . P r with the preconditioner P, to the factor by
+which P differs from K^-1; GMRES knows |r| alone.  Pressures of nearly incompressible bodies lose
+some of the digits, and factors give more for little.
 """
 _ITERATIONS, _RESTART = 2000, 60
 _UZAWA = 100
@@ -77,7 +80,7 @@ class Adjoint:
         self._ksp.setTolerances(rtol=digits, atol=0.0, max_it=_ITERATIONS)
         if newton.ksp.getType() == "cg":
             self._ksp.setType("cg")
-            self._ksp.setNormType(PETSc.KSP.NormType.UNPRECONDITIONED)
+            self._ksp.setNormType(PETSc.KSP.NormType.NATURAL)
         else:
             self._take_gmres()
         self._rows: list[FloatArray] | None = None
