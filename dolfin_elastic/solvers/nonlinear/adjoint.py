@@ -36,6 +36,8 @@ which P differs from K^-1; GMRES knows |r| alone.  Pressures of nearly incompres
 some of the digits, and factors give more for little.
 """
 _ITERATIONS, _RESTART = 2000, 60
+_KNOWN = 8
+"""Solutions with which the next one begins."""
 _UZAWA = 100
 """Of Uzawa's iterations, each of which gains a digit or so."""
 
@@ -84,11 +86,12 @@ class Adjoint:
         else:
             self._take_gmres()
         self._rows: list[FloatArray] | None = None
-        self._iterations = 0
+        self._iterations, self._known = 0, list[tuple[FloatArray, FloatArray]]()
 
     def _take_gmres(self) -> None:
         self._ksp.setType("gmres")
         self._ksp.setGMRESRestart(_RESTART)
+        self._ksp.setInitialGuessNonzero(False)
         self._ksp.setPCSide(PETSc.PC.Side.RIGHT)
         self._ksp.setNormType(PETSc.KSP.NormType.UNPRECONDITIONED)
 
@@ -177,7 +180,30 @@ class Adjoint:
         self._assembler.remove_constrained(self._y)
         return np.asarray(self._y.array_r.copy())
 
+    def _begin(self) -> None:
+        """The best combination of the last solutions: numbers often depend alike on unknowns.
+
+        The error is orthogonal to them in the norm of energy, or the residual to their loads.
+        """
+        self._ksp.setInitialGuessNonzero(bool(self._known))
+        if self._known:
+            loads, solutions = (np.array(rows) for rows in zip(*self._known, strict=True))
+            tests = solutions if self._ksp.getType() == "cg" else loads
+            rows = np.vstack([loads, self._x.array_r])
+            products = total(self._assembler.comm, tests @ rows.T)
+            factors = np.linalg.lstsq(products[:, :-1], products[:, -1], rcond=1e-12)[0]
+            self._y.array_w[:] = factors @ solutions
+
+    def _keep(self) -> None:
+        """Keeps a solution for the next ones, where these take iterations. Collective."""
+        size = self._x.norm()
+        iterated = not (self._newton.linear.direct or self._assembler.problem.contact_pairs)
+        if size > 0.0 and iterated:
+            last = self._x.array_r / size, self._y.array_r / size
+            self._known = [*self._known[1 - _KNOWN :], last]
+
     def _solve(self) -> None:
+        self._begin()
         linear, options = self._newton.linear, self._newton.options
         with options.in_force(), petsc_errors(), linear.left_as_it_is():
             self._ksp.solve(self._x, self._y)
@@ -191,6 +217,7 @@ class Adjoint:
                 f"the adjoint was not found: {ksp_reason(reason)}",
                 expected='solver.method = "direct", which has factors',
             )
+        self._keep()
 
     def step(self) -> FloatArray:
         """The linear solution from the problem's unknowns, as of a symmetric tangent. Collective.

@@ -62,9 +62,7 @@ def values(name: str, factor: float) -> np.ndarray:
 
 
 @pytest.mark.parametrize("name", KINDS)
-def test_gradients_are_differences_of_solutions(
-    name: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_gradients_are_differences_of_solutions(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """To 1e-8 of the numbers.  Differences of fourth order lose 1e-12 / STEP, and STEP^4.
 
     With adjoints of three digits they are not.
@@ -82,35 +80,61 @@ def test_gradients_are_differences_of_solutions(
     assert off() > 1e-8
 
 
+def iterated(newton: Any) -> list[np.ndarray]:
+    """Derivatives of the numbers by the unknowns."""
+    ours = functionals(OF, newton.assembler.problem, {})
+    Equilibrium(newton, lambda _: ours, ours, 1.0).evaluated()
+    return [one.by_unknowns(newton.assembler) for one in ours]
+
+
+def energy(newton: Any, field: np.ndarray) -> float:
+    """x . K x with the tangent K."""
+    K = newton.assembler.tangent.matrix
+    x, y = K.createVecs()
+    x.array_w[:] = field
+    K.mult(x, y)
+    result = total(COMM, float(field @ y.array_r))
+    x.destroy()
+    y.destroy()
+    return result
+
+
 def test_conjugate_gradients_stop_by_the_norm_of_energy() -> None:
-    """The error is DIGITS of the adjoint in that norm, to the factor of 2 by which a cycle of
-    multigrid differs from the inverse; by the residual some loads would take a digit more."""
+    """The adjoint's error is DIGITS of it, to the factor by which multigrid is no inverse: 2.
+
+    So the same iterations serve loads whose residuals are a hundred times apart.
+    """
     found = list[tuple[float, int]]()
 
     def look(newton: Any, state: Any) -> None:
-        ours = functionals(OF, newton.assembler.problem, {})
-        Equilibrium(newton, lambda _: ours, ours, state.t).evaluated()
-        one, K = Adjoint(newton), newton.assembler.tangent.matrix
-        x, y = K.createVecs()
-        for number in ours:
-            slope, vectors = number.by_unknowns(newton.assembler), []
-            for digits in (DIGITS, 1e-13):
-                one._ksp.setTolerances(rtol=digits)
-                vectors.append(one.solve(slope, np.zeros(0)))
-            rough, exact = (vector.fields for vector in vectors)
-            energies = []
-            for field in (rough - exact, exact):
-                x.array_w[:] = field
-                K.mult(x, y)
-                energies.append(total(COMM, float(field @ y.array_r)))
-            found.append((float(np.sqrt(energies[0] / energies[1])), vectors[0].iterations))
-        one.destroy()
-        x.destroy()
-        y.destroy()
+        for slope in iterated(newton):
+            one = Adjoint(newton)
+            rough = one.solve(slope, np.zeros(0))
+            one._ksp.setTolerances(rtol=1e-13)
+            exact = one.solve(slope, np.zeros(0)).fields
+            off = energy(newton, rough.fields - exact) / energy(newton, exact)
+            found.append((float(np.sqrt(off)), rough.iterations))
+            one.destroy()
 
     at_the_end(held("conjugate gradients"), "iterative", look)
-    errors = np.array([error for error, _ in found])
+    errors, iterations = map(np.array, zip(*found, strict=True))
     assert np.all(errors < 2 * DIGITS)
     assert np.all(errors > DIGITS / 20)  # an iteration gains less
-    iterations = [count for _, count in found]
-    assert max(iterations) - min(iterations) <= 4
+    assert np.ptp(iterations) <= 4
+
+
+@pytest.mark.parametrize("name", ["conjugate gradients", "pressure beside, by GMRES"])
+def test_an_adjoint_begins_with_those_before(name: str) -> None:
+    """A number that depends on the unknowns as those before take few iterations, if any."""
+    counts = list[int]()
+
+    def look(newton: Any, state: Any) -> None:
+        first, second, third = iterated(newton)
+        one = Adjoint(newton)
+        for slope in (first, third, 2.0 * first - 3.0 * third, second):
+            counts.append(one.solve(slope, np.zeros(0)).iterations)
+        one.destroy()
+
+    at_the_end(held(name), "iterative", look)
+    assert min(counts[:2]) > 20
+    assert max(counts[2:]) <= 2  # the energy's load is that of the mean displacement, to round-off
