@@ -21,8 +21,9 @@ from dolfinx import fem, la
 from petsc4py import PETSc
 from ufl.core.expr import Expr
 
+from dolfin_elastic.core.compat import collapsed
 from dolfin_elastic.core.parallel import total
-from dolfin_elastic.core.types import FloatArray
+from dolfin_elastic.core.types import FloatArray, IndexArray
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.problem.weak_form import UNUSED
 from dolfin_elastic.solvers.assembly.assembler import Assembler, compiled
@@ -57,7 +58,7 @@ class PressureSplit:
         self._u = PETSc.IS().createGeneral((moves + start).astype(PETSc.IntType), comm)
         self._u.setBlockSize(self._block_size())
         self._p = PETSc.IS().createGeneral((pressures + start).astype(PETSc.IntType), comm)
-        self._S = _compliance_matrix(self._problem, self._p)
+        self._S = _compliance_matrix(self._problem, pressures)
         pc.setFieldSplitIS(("u", self._u), ("p", self._p))
         pc.setFieldSplitSchurPreType(PETSc.PC.FieldSplitSchurPreType.USER, self._S)
         pc.setFromOptions()  # the user may want another approximation of the Schur complement
@@ -198,33 +199,41 @@ def _compliances(problem: Problem, share: float) -> FloatArray:
     Args:
         share: Of the compliance 1/mu that counts.
     """
-    form = _compliance(problem, problem.unknowns.scale["pressure"], share)
+    q = problem.unknowns.auxiliary("pressure", ufl.TestFunction(problem.W))
+    form = _compliance(problem, problem.unknowns.scale["pressure"], share, q)
     sums = la.vector(problem.W.dofmap.index_map, problem.W.dofmap.index_map_bs)
     fem.assemble_vector(sums.array, compiled(problem, [form])[0])
     sums.scatter_reverse(la.InsertMode.add)
     return np.asarray(sums.array)
 
 
-def _compliance_matrix(problem: Problem, pressures: PETSc.IS) -> PETSc.Mat:
+def _compliance_matrix(problem: Problem, pressures: IndexArray) -> PETSc.Mat:
     """S, which the caller destroys. Collective.
 
+    Of a space of its own: the entries of all unknowns would take the memory of the tangent.
+
     Args:
-        pressures: Their owned rows among all unknowns.
+        pressures: Their owned rows among all unknowns, sorted; so are those of S.
     """
     from dolfinx.fem import petsc  # 6 ms of each start
 
-    p = problem.unknowns.auxiliary("pressure", ufl.TrialFunction(problem.W))
-    whole = petsc.assemble_matrix(compiled(problem, [_compliance(problem, p, 1.0)])[0])
-    whole.assemble()
-    result = whole.createSubMatrix(pressures, pressures)
-    whole.destroy()
-    return result
+    space, entries = collapsed(problem.W.sub(1))
+    p, q, scale = ufl.TrialFunction(space), ufl.TestFunction(space), problem.unknowns.scale
+    form = _compliance(problem, scale["pressure"] * p, 1.0, scale["pressure"] * q)
+    result = petsc.assemble_matrix(compiled(problem, [form])[0])
+    result.assemble()
+    order = np.argsort(np.asarray(entries)[: len(pressures)], kind="stable")
+    start = result.getOwnershipRange()[0]
+    rows = PETSc.IS().createGeneral((order + start).astype(PETSc.IntType), problem.body.comm)
+    sorted_result = result.createSubMatrix(rows, rows)
+    rows.destroy()
+    result.destroy()
+    return sorted_result
 
 
-def _compliance(problem: Problem, p: Expr, share: float) -> ufl.Form:
-    """- integral of (share/mu + 1/k) p q with test functions q."""
+def _compliance(problem: Problem, p: Expr, share: float, q: Expr) -> ufl.Form:
+    """- integral of (share/mu + 1/k) p q."""
     factor = fem.Constant(problem.body.mesh, share)
-    q = problem.unknowns.auxiliary("pressure", ufl.TestFunction(problem.W))
     return sum(
         -(
             (factor / region.shear + region.compliance)
