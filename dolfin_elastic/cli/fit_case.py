@@ -227,6 +227,8 @@ def _tables(found: Identified) -> None:
 
 
 INTERVAL = "95 % interval"
+_DIGITS = 2
+"""Of half an interval, which is an estimate itself."""
 
 
 def show_rows(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
@@ -253,7 +255,7 @@ def constant_rows(constants: Iterable[FittedConstant]) -> Iterator[Sequence[str]
 
 
 def _interval_text(row: FittedConstant) -> str:
-    from dolfin_elastic.core.si_text import percent, quantity
+    from dolfin_elastic.core.si_text import number, percent, scaled_unit
 
     if row.held:
         return row.held
@@ -261,8 +263,10 @@ def _interval_text(row: FittedConstant) -> str:
         return "at its bound"
     if not math.isfinite(row.half):
         return "not known"
-    part = percent(row.half / abs(row.value)) if row.value else ""
-    return f"+- {quantity(row.half, row.unit)} ({part})"
+    part = f" ({percent(row.half / abs(row.value))})" if row.value else ""
+    factor, unit = scaled_unit(row.half, row.unit)
+    half = f"{number(row.half / factor, _DIGITS)} {unit}".rstrip()
+    return f"+- {half}{part}"
 
 
 def _field_text(found: FieldFound) -> dict[str, object]:

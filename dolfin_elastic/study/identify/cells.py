@@ -29,7 +29,7 @@ from dolfin_elastic.case.check.rest import read_body
 from dolfin_elastic.core.errors import CaseError, InputError, SolveError
 from dolfin_elastic.core.parallel import on_root, total
 from dolfin_elastic.core.petsc_options import PetscOptions
-from dolfin_elastic.core.si_text import percent
+from dolfin_elastic.core.si_text import percent, quantity
 from dolfin_elastic.core.types import BoolArray, FloatArray
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.problem.state import State
@@ -322,7 +322,7 @@ class _Search:
                 why = "the differences are as large as the scatter"
                 return self._result(m, point, weight, ended=True, why=why)
             weight /= _LESS
-        why = f"the differences stay above the scatter of {noise:g} m"
+        why = f"the differences stay above the scatter of {quantity(noise, 'm')}"
         return self._result(m, point, _LESS * weight, ended=False, why=why)
 
     def _tell(self, weight: float, point: _Point) -> None:

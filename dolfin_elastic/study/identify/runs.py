@@ -433,8 +433,8 @@ def _check_times(one: Measured, end: float, key: str) -> None:
     """Refuses what was measured when no run is.
 
     Args:
-        end: Of the run, where the case has it.
-        key: There.
+        end: Load factor or time [s] at which the run ends.
+        key: Dotted key of it in the case.
     """
     times = one.times if isinstance(one, MeasuredField) else _of_time(one)
     bad = np.flatnonzero((times > end * (1 + _REACH)) | (times < 0))

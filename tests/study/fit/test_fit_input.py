@@ -14,10 +14,12 @@ from mpi4py import MPI
 
 from dolfin_elastic import MooneyRivlin, NeoHookean, fit
 from dolfin_elastic.case.tables import Material
+from dolfin_elastic.cli.fit_case import constant_rows
 from dolfin_elastic.core.errors import InputError, SolveError
 from dolfin_elastic.model.materials.registry import MATERIALS
 from dolfin_elastic.study.fit.constants import chosen, constants_of, guessed, table_with
 from dolfin_elastic.study.fit.curves import TestCurve, read_curve
+from dolfin_elastic.study.least_squares.fitted import FittedConstant
 
 pytestmark = pytest.mark.skipif(
     MPI.COMM_WORLD.size > 1, reason="starts mpirun itself, which cannot be nested"
@@ -268,6 +270,22 @@ def test_codes_of_the_command(tmp_path):
     assert code == 3
     assert "[materials.rubber]" in out
     assert "has not ended: 2 steps are done" in err
+
+
+def test_intervals_have_two_digits():
+    """Half an interval is an estimate itself; of a constant of 0 there is no share."""
+    rows = [
+        FittedConstant("mu", "Pa", 307.4237e3, 83.9512e3),
+        FittedConstant("alpha", "", 0.0, 0.27412),
+        FittedConstant("nu", "", 0.5, np.nan, held="fixed by --fix"),
+        FittedConstant("K", "Pa", 1e9, np.nan, bound=True),
+    ]
+    assert [row[2] for row in constant_rows(rows)] == [
+        "+- 84 kPa (27 %)",
+        "+- 0.27",
+        "fixed by --fix",
+        "at its bound",
+    ]
 
 
 FALLING = (np.array([1.1, 1.2, 1.5, 2.0, 2.5, 3.0]), np.array([1, 1.2, -3, -20, -30, -40]) * 1e5)
