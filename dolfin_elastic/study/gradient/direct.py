@@ -22,7 +22,7 @@ from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.study.gradient.parameters import Equilibrium, Sides, move_prescribed
 
 NEAR = 1e-5
-"""Of a cell's size, by which the unknowns are moved for a difference."""
+"""Of a cell's size, by which the unknowns are moved for a difference; scalars by their `steps`."""
 SETTLED = 1e-8
 """Change of the motion over the motion."""
 _STEPS, _DEPTH = 100, 20
@@ -83,18 +83,19 @@ class Direct:
             pressures: Of the multipliers of contact, in the order of `pressures_of` [Pa by it].
         """
         assembler = self._newton.assembler
-        ways = motion[assembler.displacement_dofs], pressures / self._eps
+        near, bordered = NEAR * self._newton.cell_size, self._newton.bordered
+        ways = [motion[assembler.displacement_dofs] / near, pressures / self._eps / near]
+        if bordered is not None:  # an obstacle may move much farther than the body
+            ways.append(scalars / bordered.scalars.steps)
         longest = largest(assembler.comm, float(np.abs(np.concatenate(ways)).max(initial=0.0)))
-        step = NEAR * self._newton.cell_size / longest if longest else 1.0
+        step = 1 / longest if longest else 1.0
         ends = []
         try:
             for sign in (step, -step):
                 self._move(sign * motion, sign * scalars, sign * pressures)
                 ends.append(self._here.evaluated())
         finally:
-            self._move(0 * motion, 0 * scalars, 0 * pressures)
-            for pair in self._pairs:
-                pair.pulls_to[:] = 0.0
+            self._restore()
         first, last = (vars(one) for one in ends)
         differences = {
             name: np.asarray((first[name] - last[name]) / (2 * step), dtype=np.float64)
@@ -108,13 +109,22 @@ class Direct:
         unknowns[: len(motion)] += motion
         unknowns[len(unknowns) - len(scalars) :] += scalars
         self._newton.put_back(unknowns)
-        for pair, values in zip(self._pairs, self._pressures, strict=True):
+        for pair, values, pressing in zip(
+            self._pairs, self._pressures, self._here.pressing, strict=True
+        ):
             pair.lam.x.array[pair.nodes] = values + pressures[start : start + len(values)]
             pair.lam.x.scatter_forward()
-            # What presses stays in contact, however little it presses.
-            pair.pulls_to[:] = np.where(values > 0.0, pair.size, 0.0)
+            pair.keep(pressing)
             start += len(values)
         move_prescribed(self._newton.assembler)
+
+    def _restore(self) -> None:
+        """To the last bit, for a run that goes on. Collective."""
+        for pair, values in zip(self._pairs, self._pressures, strict=True):
+            pair.keep(None)
+            pair.lam.x.array[pair.nodes] = values
+            pair.lam.x.scatter_forward()
+        self._newton.put_back(self._start)
 
 
 class Mixing:

@@ -77,6 +77,9 @@ class Equilibrium:
         numbers_of: Makes them of a problem on the same mesh: growth and thickness are in them, too.
         functionals: What it has made of the problem at its equilibrium.
         t: Load factor, or time [s].
+
+    Attributes:
+        pressing: Which owned vertices of each contact press: these stay in contact.
     """
 
     def __init__(
@@ -88,6 +91,7 @@ class Equilibrium:
     ) -> None:
         self.newton, self.assembler, self.functionals = newton, newton.assembler, functionals
         self.problem, self.t, self._numbers_of = newton.assembler.problem, t, numbers_of
+        self.pressing = [pair.pressures() > 0.0 for pair in self.problem.contact_pairs]
 
     def evaluated(self) -> Sides:
         """All that depends on parameters, as they are now."""
@@ -104,6 +108,8 @@ class Equilibrium:
         """
         bordered = self.newton.bordered
         _take_state(changed, self.problem, self.t)
+        for pair, pressing in zip(changed.contact_pairs, self.pressing, strict=True):
+            pair.keep(pressing)
         equations: FloatArray = np.zeros(0)
         if bordered is None:
             dofs, residual = residual_of(changed)

@@ -71,7 +71,13 @@ KEYS = {
 }
 
 
-def compare(case: Case, of: tuple[str, ...], keys: tuple[str, ...], body: Any = None) -> None:
+def compare(
+    case: Case,
+    of: tuple[str, ...],
+    keys: tuple[str, ...],
+    body: Any = None,
+    step: float = STEP,
+) -> None:
     """Differences of fourth order, of solutions that are known to about 1e-10."""
     found = gradient(case, of, keys, body=body).gradients
     here = np.array([one.value for one in found])
@@ -79,10 +85,10 @@ def compare(case: Case, of: tuple[str, ...], keys: tuple[str, ...], body: Any = 
         at, unit = found[0].by[number].at, found[0].by[number].unit
 
         def values(k: int, key: str = key, at: float = at, unit: str = unit) -> np.ndarray:
-            changed = case.changed({key: f"{at * (1 + k * STEP)!r} {unit}".strip()})
+            changed = case.changed({key: f"{at * (1 + k * step)!r} {unit}".strip()})
             return np.array([one.value for one in gradient(changed, of, body=body).gradients])
 
-        slopes = (8 * (values(1) - values(-1)) - (values(2) - values(-2))) / (12 * STEP)
+        slopes = (8 * (values(1) - values(-1)) - (values(2) - values(-2))) / (12 * step)
         told = np.array([one.by[number].at * one.by[number].value for one in found])
         error = np.abs(told - slopes)
         assert np.all(error <= 1e-6 * np.maximum(np.abs(slopes), 0.1 * np.abs(here))), key
@@ -95,6 +101,32 @@ def test_obstacles(name: str, degree: int) -> None:
     """Curved ones have a stiffness by their curvature, and move; forces move a plate."""
     make, of = CASES[name]
     compare(Case.from_dict(make(degree)), of, KEYS[name])
+
+
+FLAT = {"rectangle": {"size": [2, 1], "cells": [6, 3]}}
+ROLLER = {"on": "top", "cylinder": {"axis": "z", "point": [1.1, 1.5], "radius": "0.5 m"}, **CLOSE}
+PUSHED = {**ROLLER, "force": "40 kN", "direction": [0, -1]}
+
+
+@pytest.mark.parametrize("degree", [1, 2])
+def test_an_obstacle_that_moves_more_than_the_body(degree: int) -> None:
+    """Where it starts counts for nothing, for a force moves it: all of its way is a scalar."""
+    contact = {**PUSHED, "name": "roller"}
+    tables = on_an_obstacle(degree, support=[{"on": "bottom"}], contact=[contact])
+    case = Case.from_dict({**tables, "mesh": {**FLAT, "degree": degree}})
+    start, radius = "contact[0].cylinder.point[1]", "contact[0].cylinder.radius"
+    compare(case, ("mean displacement_y on top", "strain_energy"), (start, radius), step=1e-5)
+
+
+def test_vertices_about_to_open() -> None:
+    """They stay in contact in differences, too: here one would open within their steps."""
+    gel = {**GEL, "nu": 0.5}
+    rolled = {**ROLLER, "motion": [0.02, -0.05]}
+    tables = on_an_obstacle(1, support=[{"on": "bottom"}], contact=[rolled])
+    mesh = {**FLAT, "degree": 1, "formulation": "mixed"}
+    case = Case.from_dict({**tables, "mesh": mesh, "materials": {"gel": gel}})
+    of = ("mean displacement_y on top", "reaction_x of bottom")
+    compare(case, of, ("contact[0].cylinder.radius",), step=1e-6)
 
 
 SOFT, HARD = {**GEL, "E": "0.5 MPa", "on": "lower"}, {**GEL, "E": "2 MPa"}

@@ -57,8 +57,11 @@ class FaceBulges:
 
     def _means(self) -> FloatArray:
         """p of the facets [Pa]; 0 where not all vertices press. Collective."""
-        p = self._functions.at_vertices(self._pair.values()[:, None])[..., 0]
-        return np.where(np.all(p > 0.0, axis=1), np.mean(p, axis=1), 0.0)
+        p, kept = self._pair.values(), self._pair.kept
+        both = np.stack([p, (p > 0.0 if kept is None else kept).astype(float)], axis=1)
+        at_vertices = self._functions.at_vertices(both)
+        press = np.all(at_vertices[..., 1] > 0.0, axis=1)
+        return np.where(press, np.mean(at_vertices[..., 0], axis=1), 0.0)
 
     def _stiffness(self) -> FloatArray:
         """kappa times the areas of the points, shape (facets, points) [N/m]. Collective."""

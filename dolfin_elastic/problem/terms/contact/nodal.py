@@ -19,13 +19,13 @@ from dolfin_elastic.core.ghosts import assembled
 from dolfin_elastic.core.jit import compile_forms, options
 from dolfin_elastic.core.parallel import total
 from dolfin_elastic.core.shapes.shapes import Operations, Plane
-from dolfin_elastic.core.types import FloatArray, IndexArray, Scalar
+from dolfin_elastic.core.types import BoolArray, FloatArray, IndexArray, Scalar
 from dolfin_elastic.mesh.geometry.simplices import cells_beside_facets, facet_corners
 from dolfin_elastic.model.contact import Contact
 from dolfin_elastic.model.kinematics import WeightedMeasure
 from dolfin_elastic.problem.context import FormContext
 from dolfin_elastic.problem.term import Kind
-from dolfin_elastic.problem.terms.contact.pair import ContactPair
+from dolfin_elastic.problem.terms.contact.pair import FAR, ContactPair
 from dolfin_elastic.problem.terms.contact.step import pressure_of_step
 
 RULE = {"quadrature_rule": "vertex", "quadrature_degree": 1}
@@ -109,6 +109,15 @@ class NodalContact(ContactPair):
         """Contact pressure on the reference area [Pa], of the step."""
         first, last = (self.lam - self.penalty * self._gap_at(place)[0] for place in self._ends)
         return pressure_of_step(self.step, first, last, -self.penalty * self._reach)
+
+    def keep(self, pressing: BoolArray | None) -> None:
+        """See `Pressures`: in the form, the others' multipliers are below all that is contact."""
+        super().keep(pressing)
+        self.assume(None if pressing is None else True)
+        if pressing is not None:
+            # Penalties are those of cells there: by this factor they do not differ at a node.
+            self.lam.x.array[self.nodes[~pressing]] = -1e6 * FAR * self.eps[~pressing]
+            self.lam.x.scatter_forward()
 
     def penalised(self, motion: FloatArray) -> FloatArray:
         """See `Pressures`: the penalty is in the pressures at the nodes."""

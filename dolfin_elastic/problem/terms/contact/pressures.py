@@ -84,6 +84,7 @@ class Pressures(InSteps):
         softness: By how much a pressure there shortens the element behind it [m/Pa].
         slack: Gap that counts as none [m], see `SLACK`.
         pulls_to: Gap up to which each owned vertex pulls until the next update [m]; 0: none.
+        kept: Which owned vertices are in contact, whatever moves, see `keep`; None: as gaps tell.
         augments: Multipliers are those of statics; in motion there are penalties alone.
         nodes: Owned vertices of the surface in the space of `lam`.
         nodes_of_displacement: The same vertices in the displacement's space.
@@ -92,6 +93,7 @@ class Pressures(InSteps):
 
     linear, restrains, opens, account = False, True, True, "contact"
     carrier: BoolArray | None = None
+    kept: BoolArray | None = None
     states = "open", "pressed"
 
     def __init__(
@@ -176,8 +178,23 @@ class Pressures(InSteps):
         """
         lam, eps = self.lam.x.array[self.nodes], self.eps if penalty is None else penalty
         first, last = (lam - eps * gaps for gaps in self.end_gaps())
-        found = self.step.pressures(first, last, -eps * (self.reach + self.pulls_to))
-        return np.where(self.pulls_to > 0.0, found, np.maximum(0.0, found))
+        found = self.step.pressures(first, last, self.least(eps))
+        pulls = self.pulls_to > 0.0 if self.kept is None else self.kept
+        return np.where(pulls, found, np.maximum(0.0, found))
+
+    def least(self, eps: FloatArray) -> FloatArray:
+        """Trial pressures from which on owned vertices are in contact [Pa]. Not collective."""
+        if self.kept is None:
+            return np.asarray(-eps * (self.reach + self.pulls_to))
+        return np.where(self.kept, -np.inf, np.inf)
+
+    def keep(self, pressing: BoolArray | None) -> None:
+        """These owned vertices stay in contact and no other gets there; None: as gaps tell.
+
+        So forces beside an equilibrium are smooth, also where a vertex has nearly opened or closed.
+        The multipliers of the others are lost. Collective.
+        """
+        self.kept = pressing
 
     def values(self) -> FloatArray:
         """Multipliers at the owned nodes of the surface [Pa]. Not collective."""

@@ -205,7 +205,7 @@ class VertexContact(_Followed):
         way = self._over_step() if way is None else way
         if (now := self.multipliers.iterate) is not None:
             return now.acting, now.falls
-        lam, least = self.lam.x.array[self.nodes], -self.eps * (self.reach + self.pulls_to)
+        lam, least = self.lam.x.array[self.nodes], self.least(self.eps)
         first, last = (lam - self.eps * gaps for gaps in self._means_over(way))
         pressures = self.step.pressures(first, last, least)
         return pressures, self.eps * self.step.softening(first, last, least)
