@@ -96,12 +96,16 @@ class Adjoint:
         self._ksp.setNormType(PETSc.KSP.NormType.UNPRECONDITIONED)
 
     @stage("adjoint")
-    def solve(self, derivative: FloatArray, of_scalars: FloatArray) -> AdjointState:
+    def solve(
+        self, derivative: FloatArray, of_scalars: FloatArray, motion: FloatArray | None = None
+    ) -> AdjointState:
         """The adjoint of a number. Collective.
 
         Args:
             derivative: dQ/dw, owned entries of all unknowns; a unit of Q per m.
             of_scalars: dQ/ds at fixed fields, an entry for each scalar unknown.
+            motion: Q is the work of nodal forces along it, those of contact among them, owned
+                entries; None: it does not depend on forces.
 
         Raises:
             InputError: The linear solver has not converged.
@@ -111,7 +115,7 @@ class Adjoint:
             derivative = level.balanced(
                 derivative, [one for one in level.bodies if not one.coupled]
             )
-        fields, bordered = self._inverse(-derivative), self._newton.bordered
+        fields, bordered = self._inverse(-derivative, motion), self._newton.bordered
         scalars: FloatArray = np.zeros(0)
         if bordered is not None:
             comm = self._assembler.comm
@@ -137,19 +141,20 @@ class Adjoint:
             result[dofs.skew_dofs] /= dofs.tangent.scale()
         return result
 
-    def _inverse(self, right: FloatArray) -> FloatArray:
+    def _inverse(self, right: FloatArray, motion: FloatArray | None = None) -> FloatArray:
         """K^-T times what a vector has at free entries, along which contact holds. Collective.
 
         Newton's K has the penalty of contact, K_c = eps G^T G with the rows G of the gaps.  But
         pressures are multipliers, which keep G x = 0: Uzawa's iteration K x_k = b - sum K_c x_j,
-        j < k, finds that solution.
+        j < k, finds that solution.  Where supports hold vertices that press, their reactions have
+        part of the pressures: of the motion m of a number that is K^T m, G (x + m) = 0.
         """
         x = self._plain_inverse(right)
         if not self._assembler.problem.contact_pairs:
             return x
         largest_size = float(total(self._assembler.comm, np.sum(x**2)))
         for _ in range(_UZAWA):
-            right = right - self._penalised(x)
+            right = right - self._penalised(x, motion)
             before, x = x, self._plain_inverse(right)
             change, size = total(
                 self._assembler.comm, np.array([np.sum((x - before) ** 2), np.sum(x**2)])
@@ -162,14 +167,16 @@ class Adjoint:
             expected="`sweep`, or a stiffer contact",
         )
 
-    def _penalised(self, x: FloatArray) -> FloatArray:
-        """K_c x, see `Pressures.penalised`. Collective."""
-        problem, motion = self._assembler.problem, self._assembler.ghosted_vector()
-        motion.array[: len(x)] = x
-        self._assembler.extend(motion.array)
-        motion.scatter_forward()
+    def _penalised(self, x: FloatArray, motion: FloatArray | None) -> FloatArray:
+        """K_c (x + m), see `Pressures.penalised`. Collective."""
+        problem, way = self._assembler.problem, self._assembler.ghosted_vector()
+        way.array[: len(x)] = x
+        self._assembler.extend(way.array)
+        if motion is not None:
+            way.array[: len(x)] += motion
+        way.scatter_forward()
         entries = problem.unknowns.mixed_dofs(np.arange(len(problem.u.x.array), dtype=np.int32))
-        moved = motion.array[entries]
+        moved = way.array[entries]
         return np.asarray(sum(pair.penalised(moved) for pair in problem.contact_pairs))
 
     def _plain_inverse(self, right: FloatArray) -> FloatArray:

@@ -125,7 +125,9 @@ class Gradients:
             solutions = [
                 None
                 if self._direct
-                else adjoint.solve(one.by_unknowns(here.assembler), of_scalars[number])
+                else adjoint.solve(
+                    one.by_unknowns(here.assembler), of_scalars[number], one.motion()
+                )
                 for number, one in enumerate(self._functionals)
             ]
             return self._by.gradients(here.assembler, self._functionals, values, sides, solutions)
