@@ -359,4 +359,10 @@ def _parameter(key: str, problem: Problem, case: Case | None) -> Parameter:
             where=_OPTION,
             expected="`sweep` for the mesh and for settings; --offset SURFACE for the shape",
         )
+    if key.endswith(".friction"):
+        raise InputError(
+            f"there is no gradient by '{key}': friction depends on all steps before",
+            where=_OPTION,
+            expected="`sweep`, whose runs take the whole way",
+        )
     return CaseNumber(key, case, problem.body)

@@ -219,6 +219,8 @@ def test_what_has_no_adjoint() -> None:
     body = stacked(size=(1.0, 0.6), lower=(4, 3), upper=(5, 3))
     with pytest.raises(InputError, match="no gradients by fields or the shape with contact"):
         gradient(Case.from_dict(TWO), ["strain_energy"], fields=["materials.lower.E"], body=body)
+    with pytest.raises(InputError, match="by 'contact.0..friction': friction depends on all"):
+        gradient(Case.from_dict(on_a_rod(1)), ["strain_energy"], ["contact[0].friction"])
     rubbing = {**TWO, "contact": [{"between": ["above", "below"], "friction": 0.3}]}
     with pytest.raises(InputError, match="with friction, which depends on all steps before"):
         gradient(Case.from_dict(rubbing), ["strain_energy"], ["materials.lower.E"], body=body)
