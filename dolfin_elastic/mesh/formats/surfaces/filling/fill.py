@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import time
+from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -36,6 +37,11 @@ _FEW = 20_000
 coarser ones may miss the volume, and the triangles given make cells without height."""
 _VOLUME = 1e-3
 """Relative error of a volume from which on another way is tried."""
+_FLAT = 1e-6
+"""Height of a cell, over that of a regular one on its longest edge, below which it is none: Gmsh
+may set nodes of a long surface on one line, which those of another size are not on."""
+_OTHER = 1.1
+"""Elements round a circle then, over those asked for."""
 _KEPT = 1 / 4
 """Share of the time that is kept for the way that meets the volume exactly."""
 
@@ -84,9 +90,12 @@ def fill(
     bodies, regions = bodies_of(plc)
     wanted = region_volumes(plc)
     until = time.monotonic() + permission.seconds
-    best: tuple[float, _Way, Mapping[str, AnyArray]] | None = None
+    best: tuple[tuple[bool, float], _Way, Mapping[str, AnyArray]] | None = None
     error: MeshError | None = None
-    for way in _ways(plc, size, deviation, straight=curved is False, even=even):
+    ways = deque(_ways(plc, size, deviation, straight=curved is False, even=even))
+    again = False
+    while ways:
+        way = ways.popleft()
         if way.round == _ROUNDS[-1] and (best is None or len(best[2]["cells"]) > _FEW):
             continue
         left = until - time.monotonic() - (permission.seconds * _KEPT if way.remesh else 0.0)
@@ -98,14 +107,18 @@ def fill(
         volumes = np.bincount(
             regions[filled["bodies"]], cell_volumes(filled["points"], filled["cells"]), len(wanted)
         )
-        miss = float(np.abs(volumes / wanted - 1).max())
-        if best is None or miss < best[0]:
-            best = miss, way, filled
-        if miss < _VOLUME:
+        flat = _flattest(filled["points"], filled["cells"]) < _FLAT
+        found = flat, float(np.abs(volumes / wanted - 1).max())
+        if best is None or found < best[0]:
+            best = found, way, filled
+        if found[1] < _VOLUME and not flat:
             break
+        if flat and way.round and not again:
+            ways.appendleft(replace(way, round=_OTHER * way.round))
+        again = flat and not again
     if best is None:
         raise error or MeshError("Gmsh cannot fill it", where=source)
-    miss, way, filled = best
+    (_, miss), way, filled = best
     file = _file(plc, filled, regions)
     notes = list(notes_of(permission))
     if miss >= _VOLUME:
@@ -190,6 +203,15 @@ def _named(names: Sequence[str], numbers: IntArray) -> dict[str, IntArray]:
     """Name to the rows that carry it."""
     rows = {name: [k for k, other in enumerate(names) if other == name] for name in names if name}
     return {name: np.flatnonzero(np.isin(numbers, of)) for name, of in rows.items()}
+
+
+def _flattest(points: FloatArray, cells: IntArray) -> float:
+    """Least volume of a cell over that of a regular one on its longest edge, by its corners."""
+    x = points[cells[:, :4]]
+    edges = x[:, [1, 2, 3, 2, 3, 3]] - x[:, [0, 0, 0, 1, 1, 2]]
+    longest = np.linalg.norm(edges, axis=2).max(axis=1)
+    six = np.abs(determinants((x[:, 1:] - x[:, :1]).swapaxes(1, 2)))
+    return float(np.min(np.sqrt(2) * six / longest**3, initial=1.0))
 
 
 def cell_volumes(points: FloatArray, cells: IntArray) -> FloatArray:
