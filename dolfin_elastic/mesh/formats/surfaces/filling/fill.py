@@ -21,7 +21,7 @@ from dolfin_elastic.mesh.formats.surfaces.filling.bodies import bodies_of, regio
 from dolfin_elastic.mesh.formats.surfaces.filling.in_gmsh import FILLED, GIVEN
 from dolfin_elastic.mesh.formats.surfaces.filling.plc import Plc
 from dolfin_elastic.mesh.geometry.curved import cell_gradients, quadrature_rule
-from dolfin_elastic.mesh.geometry.simplices import determinants
+from dolfin_elastic.mesh.geometry.simplices import determinants, qualities
 
 _LARGEST, _SMALLEST = 1 / 10, 1 / 200
 """Default sizes over the diagonal of the body, as for CAD files."""
@@ -93,7 +93,6 @@ def fill(
     best: tuple[tuple[bool, float], _Way, Mapping[str, AnyArray]] | None = None
     error: MeshError | None = None
     ways = deque(_ways(plc, size, deviation, straight=curved is False, even=even))
-    again = False
     while ways:
         way = ways.popleft()
         if way.round == _ROUNDS[-1] and (best is None or len(best[2]["cells"]) > _FEW):
@@ -107,15 +106,14 @@ def fill(
         volumes = np.bincount(
             regions[filled["bodies"]], cell_volumes(filled["points"], filled["cells"]), len(wanted)
         )
-        flat = _flattest(filled["points"], filled["cells"]) < _FLAT
+        flat = bool(qualities(filled["points"][filled["cells"][:, :4]]).min() < _FLAT)
         found = flat, float(np.abs(volumes / wanted - 1).max())
         if best is None or found < best[0]:
             best = found, way, filled
         if found[1] < _VOLUME and not flat:
             break
-        if flat and way.round and not again:
+        if flat and way.round in _ROUNDS:
             ways.appendleft(replace(way, round=_OTHER * way.round))
-        again = flat and not again
     if best is None:
         raise error or MeshError("Gmsh cannot fill it", where=source)
     (_, miss), way, filled = best
@@ -203,15 +201,6 @@ def _named(names: Sequence[str], numbers: IntArray) -> dict[str, IntArray]:
     """Name to the rows that carry it."""
     rows = {name: [k for k, other in enumerate(names) if other == name] for name in names if name}
     return {name: np.flatnonzero(np.isin(numbers, of)) for name, of in rows.items()}
-
-
-def _flattest(points: FloatArray, cells: IntArray) -> float:
-    """Least volume of a cell over that of a regular one on its longest edge, by its corners."""
-    x = points[cells[:, :4]]
-    edges = x[:, [1, 2, 3, 2, 3, 3]] - x[:, [0, 0, 0, 1, 1, 2]]
-    longest = np.linalg.norm(edges, axis=2).max(axis=1)
-    six = np.abs(determinants((x[:, 1:] - x[:, :1]).swapaxes(1, 2)))
-    return float(np.min(np.sqrt(2) * six / longest**3, initial=1.0))
 
 
 def cell_volumes(points: FloatArray, cells: IntArray) -> FloatArray:
