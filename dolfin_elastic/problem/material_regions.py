@@ -146,9 +146,14 @@ class MaterialRegion(BoundLaw):
     shear: Expr = 1.0
 
     @property
+    def material(self) -> str:
+        """Name of the material in a case."""
+        return self.name.removesuffix(OF_MATERIAL)
+
+    @property
     def table(self) -> str:
         """Key of the material in a case, "materials.rubber"."""
-        return f"materials.{self.name.removesuffix(OF_MATERIAL)}"
+        return f"materials.{self.material}"
 
     @property
     def incompressible(self) -> bool:
@@ -358,7 +363,7 @@ def describe(plan: Plan, degree: int) -> str:
 
 def formulation_of(regions: Sequence[MaterialRegion]) -> str:
     """Which materials have a pressure: "displacement" (none), "mixed" (all) or "mixed in NAMES"."""
-    mixed = [region.name for region in regions if region.compliance is not None]
+    mixed = [region.material for region in regions if region.compliance is not None]
     if not mixed:
         return "displacement"
     return "mixed" if len(mixed) == len(regions) else f"mixed in {', '.join(sorted(mixed))}"
