@@ -51,7 +51,8 @@ class Direct:
         Raises:
             InputError: The motion was not found.
         """
-        comm, mixing = self._here.problem.body.comm, Mixing(self._here.problem.body.comm)
+        comm = self._here.problem.body.comm
+        mixing = Mixing(comm)
         cuts = np.cumsum([self._newton.assembler.size, len(self._eps)])
         present: FloatArray = np.zeros(cuts[1] + len(by.equations))
         for _ in range(_STEPS):

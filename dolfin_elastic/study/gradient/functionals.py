@@ -266,14 +266,14 @@ def _of_terms(problem: Problem, motion: FloatArray) -> FloatArray:
 
     Contact of quadratic faces and springs between points may press or pull on what supports hold.
     """
-    result = motion.reshape(-1, problem.body.dim) * 0.0
+    comm, first = problem.body.comm, problem.V.dofmap.index_map.local_range[0]
+    result: FloatArray = np.zeros((len(motion) // problem.body.dim, problem.body.dim))
     if (blocks := problem.terms.blocks()) is None:
         return result.ravel()
-    comm, first = problem.body.comm, problem.V.dofmap.index_map.local_range[0]
     rows, moved = _of_all(comm, first, motion.reshape(result.shape))
-    some = np.isin(blocks.rows, rows)
     if not len(rows):
         return result.ravel()
+    some = np.isin(blocks.rows, rows)
     m, values = moved[np.searchsorted(rows, blocks.rows[some])], blocks.values[some]
     work = m * values[:, None] if values.ndim == 1 else np.einsum("nc,ncd->nd", m, values)
     columns, works = (np.concatenate(comm.allgather(one)) for one in (blocks.columns[some], work))

@@ -121,7 +121,6 @@ class Gradients:
             of_scalars = here.by_scalars()
             values, sides = self._by.sides(here)
             sides = self._by.with_motion(here, sides, of_all=self._direct)
-            here.evaluated()
             solutions = [
                 None
                 if self._direct
@@ -175,10 +174,12 @@ class _By:
         if not here.problem.contact_pairs:
             return list(sides)
         direct = Direct(here)
-        return [
+        result = [
             direct.total(side) if of_all or isinstance(parameter, CaseNumber) else side
             for parameter, side in zip(self._parameters, sides, strict=True)
         ]
+        here.evaluated()  # functionals know where their values were asked for last
+        return result
 
     def gradients(
         self,

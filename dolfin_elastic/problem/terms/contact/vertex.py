@@ -322,13 +322,13 @@ class VertexContact(_Followed):
 
     def penalised(self, motion: FloatArray) -> FloatArray:
         """See `Pressures`: bulges depend on the multipliers, too."""
-        functions, normals, (_, falls) = self.functions, self.normals(), self.state()
-        along = np.sum(normals * functions.displacements(motion), axis=2)
+        functions, way = self.functions, self._over_step()
+        along = np.sum(way.normals * functions.displacements(motion), axis=2)
         rates = functions.means(along[..., None])[:, 0]
         if self.bulges.some:
-            more = self.bulges.by_multipliers(self._at_points()[0], along)
-            rates += more / functions.areas
-        return nodal_forces(self, functions.at_points((falls * rates)[:, None]) * normals)
+            rates += self.bulges.by_multipliers(way.last, along) / functions.areas
+        pressures = self.state(way)[1] * rates
+        return nodal_forces(self, functions.at_points(pressures[:, None]) * way.normals)
 
 
 class VertexPressures(Multipliers):
