@@ -118,6 +118,9 @@ class _StepHooks:
         """Makes its blocks semidefinite until steps are short again; whether that changes them."""
         return False
 
+    def make_exact(self) -> None:
+        """Makes its blocks the derivative of its forces, semidefinite or not."""
+
     def leave_stage(self, *, found: bool) -> None:
         """The stage was found, or there is none. Collective."""
 

@@ -247,8 +247,6 @@ def without_gradient(problem: Problem) -> str:
         what = "of materials that remember"
     elif problem.terms.dissipates or problem.terms.follows_path:
         what = "with friction, which depends on all steps before"
-    elif problem.terms.bars:
-        what = "of contact of a surface with itself"
     return what
 
 

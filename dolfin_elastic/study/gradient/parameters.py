@@ -332,7 +332,9 @@ def parameters(keys: Sequence[str], problem: Problem, case: Case | None) -> list
 
 def _parameter(key: str, problem: Problem, case: Case | None) -> Parameter:
     known = problem.parameters
-    if key in known and not known[key].ufl_shape:
+    # The stiffness of a barrier follows from the materials when a problem is made.
+    made_anew = case is not None and problem.terms.bars
+    if key in known and not known[key].ufl_shape and not made_anew:
         allowed = next(
             region.given.ranges().get(name)
             for region in problem.regions

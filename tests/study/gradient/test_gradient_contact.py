@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.barriers import usable_ipctk
 from helpers.stacked import stacked
 from mpi4py import MPI
 
@@ -203,6 +204,27 @@ def test_two_bodies_in_space() -> None:
     of = ("mean displacement_x on above", "reaction_z of bottom", "strain_energy")
     keys = ("materials.lower.E", "support[1].displacement[2]")
     compare(Case.from_dict(tables), of, keys, body)
+
+
+SKIN = {
+    "support": [{"on": "bottom"}, {"on": "top", "displacement": [0, "-8 cm"]}],
+    "contact": [{"all": True, "name": "skin"}],
+    "load": [],
+}
+
+
+@pytest.mark.parametrize("degree", [1, pytest.param(2, marks=pytest.mark.long)])
+def test_a_surface_that_touches_itself(degree: int) -> None:
+    """Its tangent is not made semidefinite, and its barrier is as stiff as the softest material."""
+    usable_ipctk()
+    body = stacked(size=(1.0, 1.0), lower=(4, 3), upper=(5, 3), gap=0.02, shift=0.05, width=0.8)
+    mesh = {"mesh": {**TWO["mesh"], "degree": degree}}
+    of = ("strain_energy", "reaction_y of bottom", "mean von_mises on bottom")
+    keys = ("materials.lower.E", "materials.upper.nu", "support[1].displacement[1]")
+    case = Case.from_dict({**TWO, **mesh, **SKIN})
+    compare(case, of, keys, body, rel=1e-8)
+    with pytest.raises(InputError, match="by the shape"):
+        gradient(case, of, offsets=["bottom"], body=body)
 
 
 def test_cells_beside_an_obstacle() -> None:

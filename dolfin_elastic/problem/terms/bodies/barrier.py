@@ -384,6 +384,10 @@ class Barrier(Term):
         before, self.projection = self.projection, self._ipctk.PSDProjectionMethod.CLAMP
         return bool(before != self.projection)
 
+    def make_exact(self) -> None:
+        """See `Term`."""
+        self.projection = self._ipctk.PSDProjectionMethod.NONE
+
     # --- a run ---
 
     def check_start(self) -> str:
