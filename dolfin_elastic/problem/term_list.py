@@ -77,11 +77,6 @@ class Terms(list[Term]):
         changed = [term.make_convex() for term in self]
         return any(changed)
 
-    def make_exact(self) -> None:
-        """See `Term`: of all terms."""
-        for term in self:
-            term.make_exact()
-
     @contextmanager
     def assumed(self, *, closed: bool, near: bool = False) -> Iterator[None]:
         """Within it all that may open is closed, or all of it is open. Not collective.

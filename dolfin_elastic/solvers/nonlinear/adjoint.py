@@ -69,7 +69,8 @@ class Adjoint:
 
     def __init__(self, newton: Newton) -> None:
         self._newton, self._assembler = newton, newton.assembler
-        newton.assembler.problem.terms.make_exact()
+        for term in newton.assembler.problem.terms:
+            term.make_exact()
         newton.factorise(anew=False)
         self._symmetric = bool(self._assembler.problem.symmetric)
         self._x, self._y = (self._assembler.create_vector() for _ in range(2))
