@@ -57,6 +57,7 @@ def test_dependencies_are_the_imports() -> None:
     assert declared == needed
 
 
+@pytest.mark.long
 def test_packages_of_the_environment_are_used() -> None:
     text = (ROOT / "docker/packages.txt").read_text(encoding="utf-8")
     used, _, _ = text.partition("# --- installing and testing ---")

@@ -111,7 +111,6 @@ def test_the_list_fits_into_eighty_columns(folder: Path, capsys, monkeypatch) ->
     assert max(map(len, lines)) <= 80
 
 
-@pytest.mark.sample(1)
 @pytest.mark.parametrize(
     ("wrong", "note"),
     [

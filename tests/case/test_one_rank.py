@@ -167,7 +167,7 @@ def small(folder: Path) -> None:
     (folder / "case.toml").write_text(made.to_toml())
 
 
-@pytest.mark.sample(1)
+@pytest.mark.long
 @pytest.mark.parametrize("body", [LOOP, OTHERS_WAIT, CLOSING, CAUGHT, ENDED, OUTPUT, ENERGY, CURVE])
 def test_all_ranks_end(body: str, tmp_path: Path) -> None:
     """Also where the others wait for it in a call of the user's own."""
@@ -175,7 +175,6 @@ def test_all_ranks_end(body: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.long
-@pytest.mark.sample(1)
 @pytest.mark.parametrize("solver", SOLVERS)
 def test_all_ranks_end_without_a_case(solver: str, tmp_path: Path) -> None:
     """In the loop over the states of a solver that no case describes."""
@@ -185,13 +184,12 @@ def test_all_ranks_end_without_a_case(solver: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.long
-@pytest.mark.sample(1)
 @pytest.mark.parametrize("solver", MODE_SOLVERS)
 def test_all_ranks_end_among_modes(solver: str, tmp_path: Path) -> None:
     assert seconds_to_the_end(PARTS + MODES.format(modes=MODE_SOLVERS[solver]), tmp_path) < LONGEST
 
 
-@pytest.mark.sample(1)
+@pytest.mark.long
 @pytest.mark.parametrize("solver", ["direct", "implicit"])
 def test_all_ranks_end_amid_a_step(solver: str, tmp_path: Path) -> None:
     """Where a function that PETSc calls fails on one rank: factors are freed by all together."""

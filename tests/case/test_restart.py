@@ -497,7 +497,6 @@ def test_a_changed_case_is_refused(folder: Path) -> None:
     refused(folder / "a", r"case.toml: this is not the case of the checkpoint any more")
 
 
-@pytest.mark.sample(1)
 @pytest.mark.parametrize("damage", ["cut", "gone", "noise", "empty"])
 def test_a_damaged_copy_of_the_case(
     damage: str, folder: Path, caplog: pytest.LogCaptureFixture

@@ -43,6 +43,7 @@ def summary(folder: Path, comm: MPI.Comm) -> dict[str, Any]:
     return dict(on_root(comm, lambda: json.loads((folder / "summary.json").read_text())))
 
 
+@pytest.mark.long
 def test_all_in_turn(
     folder: Path,
     comm: MPI.Comm,

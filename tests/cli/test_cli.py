@@ -135,6 +135,7 @@ def test_check_as_json(folder: Path) -> None:
     assert {part["name"] for part in found["surfaces"]} >= {"left", "right"}
 
 
+@pytest.mark.long
 def test_look(folder: Path) -> None:
     """The body of a case as a table in its unit, and as JSON in metres; pictures are PNG files."""
     code, out, err = cli("look", "case.toml", folder=folder)
@@ -176,7 +177,6 @@ def test_converge(folder: Path) -> None:
     assert "above the limit of 200 (--unknowns)" in out
 
 
-@pytest.mark.sample(1)
 @pytest.mark.parametrize("ranks", [1, 2])
 def test_run(folder: Path, ranks: int) -> None:
     """A line a step, a summary, the files, and each of them once."""
@@ -277,7 +277,6 @@ def test_motion(folder: Path) -> None:
     assert not (folder / "case_results").exists()
 
 
-@pytest.mark.sample(1)
 @pytest.mark.parametrize("ranks", [1, 2])
 def test_no_solution(folder: Path, ranks: int) -> None:
     """Exit code 3, the reason on screen and in the summary, results so far complete."""
@@ -294,7 +293,6 @@ def test_no_solution(folder: Path, ranks: int) -> None:
     assert "no equilibrium" in summary["reason"]
 
 
-@pytest.mark.sample(1)
 @pytest.mark.parametrize("ranks", [1, 2])
 def test_no_place_for_results(folder: Path, ranks: int) -> None:
     """Exit code 4 with the file and the cause."""
@@ -303,7 +301,6 @@ def test_no_place_for_results(folder: Path, ranks: int) -> None:
     assert err.count("error: cannot write case.toml/results") == 1
 
 
-@pytest.mark.sample(1)
 @pytest.mark.parametrize(("ranks", "broken"), [(1, 0), (2, 1), (3, 2), (2, -1)])
 def test_fault_of_the_program(folder: Path, ranks: int, broken: int) -> None:
     """One traceback, and no rank waits for ever."""
@@ -315,7 +312,6 @@ def test_fault_of_the_program(folder: Path, ranks: int, broken: int) -> None:
         assert f"rank {max(broken, 0)} of {ranks}:" in err
 
 
-@pytest.mark.sample(1)
 @pytest.mark.parametrize("ranks", [1, 2])
 def test_interrupted(folder: Path, ranks: int) -> None:
     """Ctrl-C ends the run with the last complete step; what is written can be read."""
@@ -346,7 +342,6 @@ def piped(end: str, folder: Path) -> tuple[str, str]:
     return out, err
 
 
-@pytest.mark.sample(1)
 @pytest.mark.parametrize("redirect", ["", "2>&1"])
 def test_nobody_reads_on(folder: Path, redirect: str) -> None:
     """Where a pipe is closed, as `head` does, the run goes on to its own end, silently."""
@@ -359,7 +354,6 @@ def test_nobody_reads_on(folder: Path, redirect: str) -> None:
     assert float(rows[-1]["load_factor"]) == 1.0
 
 
-@pytest.mark.sample(1)
 @pytest.mark.parametrize("redirect", ["", "2>&1"])
 def test_errors_that_nobody_reads(folder: Path, redirect: str) -> None:
     """The exit code is the run's own."""

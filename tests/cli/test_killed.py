@@ -48,7 +48,6 @@ def rows_written(folder: Path) -> int:
 
 
 @pytest.mark.long
-@pytest.mark.sample(1)
 @pytest.mark.parametrize("ranks", [1, 2])
 def test_stopped_then_restarted(tmp_path: Path, ranks: int) -> None:
     """After the current step, with code 130 and the command that restarts it; then restarted.
@@ -99,7 +98,6 @@ main()
 MOTION = {"end": "20 ms", "dt": "4 ms"}
 
 
-@pytest.mark.sample(1)
 @pytest.mark.parametrize("signals", [2, 1])
 @pytest.mark.parametrize(
     "analysis",

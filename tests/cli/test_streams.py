@@ -105,13 +105,11 @@ def test_messages_that_cannot_be_written(redirections: str, code: int, tmp_path:
     assert not [one for one in files if b"KSP Object" in one.read_bytes()]
 
 
-@pytest.mark.sample(1)
 @pytest.mark.parametrize("redirections", [">/dev/full", ">&-", "2>/dev/full", "2>&-", "<&-"])
 def test_errors_keep_their_code(redirections: str, tmp_path: Path) -> None:
     assert shell(redirections, "run", "none.toml", folder=tmp_path).returncode == 2
 
 
-@pytest.mark.sample(1)
 @pytest.mark.parametrize("redirections", [">/dev/full", ">&-"])
 def test_nothing_is_lost_where_nothing_is_printed(redirections: str, tmp_path: Path) -> None:
     done = shell(redirections, "run", "case.toml", "--quiet", folder=tmp_path)
@@ -143,7 +141,7 @@ HOMES = {
 }
 
 
-@pytest.mark.sample(1)
+@pytest.mark.long
 @pytest.mark.parametrize("home", HOMES)
 def test_services_without_a_home(home: str, tmp_path: Path) -> None:
     """Open MPI does not start without HOME; without a cache forms are compiled each time."""

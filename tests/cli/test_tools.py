@@ -38,6 +38,7 @@ def test_misspelt_command(word: str, answer: str, tmp_path: Path) -> None:
     assert f"Error: {answer}" in err
 
 
+@pytest.mark.long
 def test_schema(tmp_path: Path) -> None:
     """It is printed as JSON, on several ranks once."""
     code, out, err = cli("schema", folder=tmp_path, ranks=2)
@@ -116,7 +117,7 @@ dolfin_elastic.cli.app.main()
 """
 
 
-@pytest.mark.sample(1)
+@pytest.mark.long
 @pytest.mark.parametrize(("factor", "code"), [(1.01, 1), (1, 0)])
 def test_verify(factor: float, code: int, tmp_path: Path) -> None:
     """A table, and exit code 1 where a result is off."""

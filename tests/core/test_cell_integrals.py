@@ -98,6 +98,7 @@ def check_values(problem: Problem, region: MaterialRegion, *, by_loop: bool, wit
     np.testing.assert_allclose(room, known, rtol=0.0, atol=off)
 
 
+@pytest.mark.long
 @pytest.mark.sample(2)
 @pytest.mark.parametrize("degree", [1, 2])
 def test_loads_and_springs_beside_them(degree):
@@ -124,7 +125,6 @@ def test_laws(name, degree):
     check(Problem(body, law, degree=degree, formulation="displacement"), within=within)
 
 
-@pytest.mark.sample(1)
 def test_several_materials():
     """One integral each, with cells of its own."""
     body = name_parts(

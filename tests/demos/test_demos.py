@@ -139,7 +139,6 @@ def test_tetrahedron_on_three_ranks(tmp_path: Path) -> None:
     assert re.search(CHECKED["tetrahedron"], out)
 
 
-@pytest.mark.sample(1)
 @pytest.mark.parametrize(
     "case",
     [pytest.param(path, marks=needs(path), id=f"{path.parent.name}/{path.stem}") for path in CASES],
@@ -150,6 +149,7 @@ def test_case(case: Path, tmp_path: Path) -> None:
     assert json.loads(out)["unknowns"] > 100
 
 
+@pytest.mark.long
 def test_treloar_on_the_command_line(tmp_path: Path) -> None:
     """The command at the head of the law's file; what it writes is a material."""
     folder = DEMOS / "treloar"

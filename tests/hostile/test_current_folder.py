@@ -140,7 +140,7 @@ def poison(folder: Path, *, pipes: bool) -> None:
             (folder / name).write_text(text)
 
 
-@pytest.mark.sample(1)
+@pytest.mark.long
 @pytest.mark.parametrize("ranks", [1, 2])
 @pytest.mark.parametrize("pipes", [False, True])
 def test_settings_of_a_stranger(
@@ -167,7 +167,6 @@ def test_settings_of_a_stranger(
     assert (files / "victim.txt").read_text() == "mine"
 
 
-@pytest.mark.sample(1)
 @pytest.mark.parametrize(
     "words",
     [
@@ -187,7 +186,6 @@ def test_pipes_are_not_waited_for(words: list[str], files: Path) -> None:
 SUBMODULES = ("core.parallel", "core.compat", "core.jit", "mesh.read", "problem.problem")
 
 
-@pytest.mark.sample(1)
 @pytest.mark.parametrize(
     "first",
     [

@@ -91,6 +91,7 @@ def _fuzz(count: int, monkeypatch: pytest.MonkeyPatch, command: str = "check") -
     holds()
 
 
+@pytest.mark.long
 def test_fuzzed_cases(monkeypatch: pytest.MonkeyPatch) -> None:
     _fuzz(150, monkeypatch)
 

@@ -121,13 +121,11 @@ def failures(
     return [f"{name}: {text[:500]}" for name, text in told if text]
 
 
-@pytest.mark.sample(1)
 @pytest.mark.parametrize("block", range(BLOCKS))
 def test_broken_cases(folder: Path, serial_only: None, monkeypatch, block: int) -> None:
     assert failures(CASES[block::BLOCKS], folder, monkeypatch) == []
 
 
-@pytest.mark.sample(1)
 @pytest.mark.parametrize("block", range(BLOCKS))
 def test_hostile_meshes(folder: Path, serial_only: None, monkeypatch, block: int) -> None:
     assert failures(MESHES[block::BLOCKS], folder, monkeypatch) == []

@@ -471,7 +471,6 @@ def test_trust(tmp_path: Path) -> None:
 
 
 @pytest.mark.long
-@pytest.mark.sample(1)
 @pytest.mark.parametrize("ranks", [3, 1])
 def test_several_ranks(tmp_path: Path, ranks: int) -> None:
     """A refusal is one message, and no rank waits; a good file has the same cells as on one."""

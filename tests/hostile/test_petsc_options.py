@@ -92,7 +92,6 @@ def test_what_the_program_chooses_is_among_them() -> None:
         refuse_beyond_solvers(table, "")
 
 
-@pytest.mark.sample(1)
 @pytest.mark.parametrize("command", ["check", "run"])
 @pytest.mark.parametrize("option", ['pc_type = "python"', 'ksp_view = "ascii:victim.txt"'])
 def test_before_the_run(tmp_path: Path, serial_only: None, command: str, option: str) -> None:

@@ -125,7 +125,6 @@ SHADOWS = ("numpy", "random", "platform", "typer", "rich", "pydantic", "dolfinx"
 
 
 @pytest.mark.long
-@pytest.mark.sample(1)
 @pytest.mark.parametrize(
     "program",
     [PROGRAM, ["dolfin-elastic"], [sys.executable, "-P", "-m", "dolfin_elastic"]],

@@ -55,6 +55,7 @@ def test_a_ball_becomes_curved_cells_of_its_volume() -> None:
     assert not file.notes
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("n", [15, 20])
 def test_a_tube_of_long_triangles(n: int) -> None:
     """Two triangles from end to end on each of its sides, as CAD programs export it.

@@ -77,7 +77,6 @@ def test_cells_at_a_fillet_have_the_size(folder: Path, surfaces) -> None:
     ],
     ids=["sphere", "box"],
 )
-@pytest.mark.sample(1)
 def test_cells_of_a_cad_file_in_places(folder: Path, place) -> None:
     write(folder / "angle.step", angle)
     mesh = {"file": "angle.step", "size": 3, "refine": [{**place, "size": "0.7 mm"}]}

@@ -251,7 +251,6 @@ def test_plane_mesh(folder: Path, order: int) -> None:
     assert size.boundary == pytest.approx(size.surfaces["rim"])
 
 
-@pytest.mark.sample(1)
 @pytest.mark.parametrize("suffix", [".step", ".brep", ".geo"])
 def test_cad_is_meshed_with_a_size(folder: Path, suffix: str) -> None:
     def draw() -> None:
@@ -277,7 +276,6 @@ def test_cad_is_meshed_with_a_size(folder: Path, suffix: str) -> None:
         assert fine.surfaces == pytest.approx({"foot": 2e-6})
 
 
-@pytest.mark.sample(1)
 @pytest.mark.parametrize("suffix", [".step", ".geo"])
 def test_cad_with_curved_cells(folder: Path, suffix: str) -> None:
     """The volume of a ball of some four cells through: straight ones leave 8 % of it out."""

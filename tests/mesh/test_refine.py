@@ -149,7 +149,6 @@ def test_arcs_of_cad(tmp_path: Path, curved: bool) -> None:
     assert off[1] / off[2] > least
 
 
-@pytest.mark.sample(1)
 @pytest.mark.parametrize("curved", [False, True])
 def test_surfaces_of_cad(tmp_path: Path, curved: bool) -> None:
     """A quarter of a pipe in mm: cylinders, their circular rims, and plane ends that stay plane.

@@ -130,7 +130,6 @@ def at_x(problem: Problem, x: float) -> np.ndarray:
     return np.concatenate(COMM.allgather(own))
 
 
-@pytest.mark.sample(1)
 @pytest.mark.parametrize("degree", [1, 2])
 def test_bars_in_series(degree: int) -> None:
     problem, state = pulled(halves(bar(4)), TWO, degree)
@@ -150,7 +149,6 @@ def test_bars_in_parallel() -> None:
     np.testing.assert_allclose(at_x(problem, 0.5), BY / 2, rtol=1e-10)
 
 
-@pytest.mark.sample(1)
 @pytest.mark.parametrize("degree", [1, 2])
 def test_a_jump_along_facets_is_two_regions(degree: int) -> None:
     """The same two bars from one law whose constants jump."""
@@ -249,7 +247,7 @@ def test_explicit_motion_of_a_varying_material() -> None:
 PAIRS = {"E": 2e6, "nu": 0.25, "K": 4e6 / 3, "lmbda": 8e5, "mu": 8e5}
 
 
-@pytest.mark.sample(1)
+@pytest.mark.long
 @pytest.mark.parametrize("pair", [("E", "nu"), ("E", "lmbda"), ("nu", "K"), ("K", "mu")])
 def test_any_two_constants_that_vary(pair: tuple[str, str]) -> None:
     """A formula that gives the same number everywhere is that number."""
@@ -262,6 +260,7 @@ def test_any_two_constants_that_vary(pair: tuple[str, str]) -> None:
     assert mixed.reactions["right"] == pytest.approx(plain.reactions["right"], rel=1e-10)
 
 
+@pytest.mark.long
 def test_a_volume_that_varies_beside_the_shape() -> None:
     """Of a law with constants of its own for the shape, K comes from nu at each place."""
     given = {"c10": 3e5, "c01": 1e5, "nu": 0.3}

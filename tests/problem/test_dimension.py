@@ -76,7 +76,6 @@ def lateral(problem: Problem) -> float:
     return 1 + low + comm.allreduce(float(moved.max(initial=0.0)), op=MPI.MAX)
 
 
-@pytest.mark.sample(1)
 @pytest.mark.parametrize("degree", [1, 2])
 @pytest.mark.parametrize(("kind", "stretch"), UNIAXIAL)
 def test_plane_stress_solves_for_the_thickness(kind, stretch, degree):

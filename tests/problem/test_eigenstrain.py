@@ -84,7 +84,6 @@ def test_free_growth_is_free_of_stress(name, dim, formulation):
     assert abs(state.energies["strain"]) < 1e-15 * E  # differences of numbers of the size of E
 
 
-@pytest.mark.sample(1)
 @pytest.mark.parametrize("geometry", ["solid", "plane-strain", "axisymmetric"])
 def test_clamped_all_around(geometry):
     """sigma = -E alpha dT/(1 - 2 nu) in all directions, across the plane too."""

@@ -63,6 +63,7 @@ def moved(on: Body, fields: bool, degree: int) -> np.ndarray:
     return np.array(state.u.x.array)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("dim", "degree"), [(2, 2), (3, 1)])
 def test_a_linear_field_is_the_formula(dim: int, degree: int) -> None:
     """To round-off: the same values at the same points of the same integrals."""

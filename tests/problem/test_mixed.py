@@ -124,7 +124,6 @@ class _Pull(Balancing):
         return ufl.inner(sigma * ufl.FacetNormal(mesh), context.v) * area
 
 
-@pytest.mark.sample(1)
 @pytest.mark.parametrize(
     ("degree", "cells", "expected"), [(1, (10, 20, 40), (2, 1, 1.5)), (2, (6, 12, 24), (3, 2, 2))]
 )
@@ -265,7 +264,6 @@ def test_torsion_of_an_incompressible_cylinder(comm, folder):
 # --- the same answer by other ways ---
 
 
-@pytest.mark.sample(1)
 @pytest.mark.parametrize("degree", [1, 2])
 @pytest.mark.parametrize("law", [LinearElastic, StVenantKirchhoff, NeoHookean])
 def test_a_homogeneous_state_is_exact(law, degree):
@@ -295,7 +293,6 @@ def test_a_homogeneous_state_is_exact(law, degree):
 
 
 @pytest.mark.long
-@pytest.mark.sample(1)
 @pytest.mark.parametrize("degree", [1, 2])
 def test_iterations_give_the_factorisation_answer(degree):
     found = []
@@ -349,6 +346,7 @@ def test_only_the_part_that_needs_it_has_a_pressure():
     assert state.reactions["top"][2] == pytest.approx(pressure(foam, J), rel=2e-6)
 
 
+@pytest.mark.long
 def test_motion_of_an_incompressible_body():
     """Free fall is exact, and a body that swings keeps its energy."""
     body = rectangle_body(size=(2.0, 0.5), cells=(8, 2))
@@ -489,6 +487,7 @@ def test_adaptive_steps_judge_the_displacement_only():
     assert state.max_displacement > 1e-3
 
 
+@pytest.mark.long
 def test_the_pressure_does_not_swing_from_step_to_step():
     """It follows the waves in the strip; extrapolated from the stage it would double and vanish."""
     problem = strip()
@@ -501,7 +500,6 @@ def test_the_pressure_does_not_swing_from_step_to_step():
     assert np.ptp(low) < 0.6 * abs(np.median(low))
 
 
-@pytest.mark.sample(1)
 @pytest.mark.parametrize("geometry", ["plane-strain", "plane-stress"])
 def test_motion_starts_with_the_energy_of_its_shape(geometry):
     """An initial stretch has the energy of the static state of the same shape at once."""
@@ -521,7 +519,6 @@ def test_motion_starts_with_the_energy_of_its_shape(geometry):
         assert energies[0] < 0.5 * 1e6 / (1 - 0.49**2) * 0.1**2 * 1.1
 
 
-@pytest.mark.sample(1)
 @pytest.mark.parametrize(("degree", "nu"), [(1, 0.5), (2, 0.5), (1, 0.3)])
 def test_axisymmetric_patch(degree, nu):
     """A cylinder pressed evenly has one pressure everywhere, also at the axis."""

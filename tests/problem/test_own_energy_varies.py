@@ -91,6 +91,7 @@ def _closure(mu: fem.Function) -> Energy:
     return Energy(lambda F, lmbda: psi(F, mu, lmbda), lmbda=LMBDA)
 
 
+@pytest.mark.long
 @pytest.mark.sample(2)
 @pytest.mark.parametrize("degree", [1, 2])
 @pytest.mark.parametrize("way", WAYS)

@@ -350,6 +350,7 @@ def test_other_numbers_compile_nothing():
         assert forms[0].signature() == forms[1].signature(), name
 
 
+@pytest.mark.long
 def test_the_cache_does_not_grow(comm, folder, monkeypatch):
     """Counted in the folder itself, through a solve at other loads, times and constants."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(folder))

@@ -171,6 +171,7 @@ def page_of(folder: Path, output: Path) -> tuple[Page, dict[str, Any]]:
     return Page(text), json.loads((folder / "summary.json").read_text(encoding="utf-8"))
 
 
+@pytest.mark.long
 def test_in_a_notebook(folders: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The same page in a frame, as text: whatever the case has written ends nowhere outside."""
     monkeypatch.setattr(still, "draw_pictures", lambda _user, _pictures, file: file.touch())

@@ -307,6 +307,7 @@ def bar(**more: Any) -> dict[str, Any]:
     }
 
 
+@pytest.mark.long
 def test_a_case(folder: Path) -> None:
     """Fields, probes, tables and units of a run, and the case as text."""
     names = ["cauchy_stress_rr_in_bore", "cauchy_stress_11_in_material"]

@@ -135,6 +135,7 @@ def case(**output: Any) -> Case:
     )
 
 
+@pytest.mark.long
 def test_a_run_writes_and_probes_them(folder: Path) -> None:
     """A bar in simple tension: a of the closed form."""
     probes = {

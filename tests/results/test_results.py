@@ -478,7 +478,6 @@ def test_unknown_fields_and_files_are_refused(folder: Path) -> None:
 # --- pictures ---
 
 
-@pytest.mark.sample(1)
 @pytest.mark.parametrize(("dim", "degree"), [(2, 1), (3, 1), (3, 2)])
 def test_pictures(folder: Path, dim: int, degree: int) -> None:
     problem = make_problem(dim, degree)
@@ -652,6 +651,7 @@ def test_one_renderer_for_all_pictures(folder: Path, monkeypatch: pytest.MonkeyP
     assert images[0] != images[1], "each picture is a new one"
 
 
+@pytest.mark.long
 def test_a_renderer_that_dies(folder: Path) -> None:
     """An error that says why, and the next picture is drawn by another one."""
     if COMM.rank:
@@ -730,7 +730,6 @@ def test_round_off_and_small_values(field: str) -> None:
 
 
 @pytest.mark.long
-@pytest.mark.sample(1)
 @pytest.mark.parametrize("dim", [2, 3])
 def test_pictures_of_materials(folder: Path, dim: int) -> None:
     """One colour for each, and its name."""

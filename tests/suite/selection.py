@@ -255,9 +255,9 @@ long where ranks wait for each other, and belong to the rest there."""
 ENDURING = ("fifty_periods", "test_second_order", "to_second_order")
 """In names of tests of orders and periods in time, thousands of small steps, in which ranks
 that wait for each other take minutes each: on one rank only; the steps are the same on several."""
-QUICK = 2
+QUICK = 1
 """Parameters of each test in the quick set, unless it says so itself."""
-PLENTY = 10
+PLENTY = 4
 """Parameters of each test on one rank in the rest, except of TEXTS: all of them by --all."""
 TEXTS = {
     "case/reference/test_json_schema.py",
@@ -404,9 +404,7 @@ def _quick(items: Iterable[pytest.Item], ranks: int) -> list[pytest.Item]:
         # Three ranks on two cores take as long for every sixth test as two for every third one.
         if (ranks == 2 and seen[file] % 3) or (ranks == 3 and seen[file] % 6 != 1):
             continue
-        sample = group[0].get_closest_marker("sample")
-        most = 1 if ranks > 1 else sample.args[0] if sample else QUICK
-        found += _spread(group, most)
+        found += _spread(group, 1 if ranks > 1 else _sample(group[0]))
     return found
 
 
@@ -470,7 +468,15 @@ def _least_alike(group: list[pytest.Item], most: int) -> list[pytest.Item]:
 
 
 def _plenty(group: list[pytest.Item], turn: str) -> list[pytest.Item]:
-    return group if _file(group[0]) in TEXTS else _spread(group, PLENTY, turn)
+    if _file(group[0]) in TEXTS:
+        return group
+    return _spread(group, max(PLENTY, _sample(group[0])), turn)
+
+
+def _sample(item: pytest.Item) -> int:
+    """How many of a test's parameters belong to the quick set."""
+    sample = item.get_closest_marker("sample")
+    return int(sample.args[0]) if sample else QUICK
 
 
 def _values(item: pytest.Item) -> list[tuple[str, str]]:

@@ -39,7 +39,6 @@ COOK: dict[str, tuple[dict[str, Any], float, float, float]] = {
 """Material, shear traction, and u_y at the middle and at the top of the loaded side."""
 
 
-@pytest.mark.sample(1)
 @pytest.mark.parametrize("name", COOK)
 def test_cook_membrane(folder, name):
     """24 x 24 quadratic cells, finer towards the four sides, for the clamped corner is singular.

@@ -9,6 +9,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import pytest
 from mpi4py import MPI
 
 from dolfin_elastic import Dynamics, LinearElastic, Problem, Rotation, read_body
@@ -68,6 +69,7 @@ def top(values: FloatArray) -> float:
     return largest(MPI.COMM_WORLD, float(np.abs(values).max(initial=0.0)))
 
 
+@pytest.mark.long
 def test_rings_turn_as_the_theory_says(folder: Path) -> None:
     """Every node, at half the time and at the end, to 0.5 % of the largest angle at that time.
 

@@ -53,7 +53,7 @@ def annulus(folder: Any, size: float, material: dict[str, Any], **more: Any) -> 
     return {**case, "surfaces": sides, **more}
 
 
-@pytest.mark.sample(1)
+@pytest.mark.long
 @pytest.mark.parametrize("volumetric", ["simo-taylor", "quadratic", "log"])
 def test_a_bush(folder, volumetric):
     """Sleeve held, outside rigid and pushed by 50 kN/m: 3.702e-4 m, as at nu = 0.49999.
@@ -70,7 +70,7 @@ def test_a_bush(folder, volumetric):
     assert state.audit.verdict == "pass"
 
 
-@pytest.mark.sample(1)
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("size", "material"),
     [(0.3, {"nu": 0.49999}), (0.3, {"nu": 0.49999, "volumetric": "quadratic"}), (0.15, {})],
@@ -92,7 +92,6 @@ def test_a_bush_finer_and_nearly_incompressible(folder, size, material):
     assert top == pytest.approx(11.1e3, rel=0.02)
 
 
-@pytest.mark.sample(1)
 @pytest.mark.parametrize("law", ["neo-hookean", "mooney-rivlin"])
 def test_azimuthal_shear_of_an_annulus(folder, law):
     """The outside turns by 1 rad about the inside: M = 4 pi mu psi/(1/a^2 - 1/b^2), W = M psi/2.

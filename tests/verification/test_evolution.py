@@ -115,6 +115,7 @@ def along(law: Any, steps: int) -> tuple[np.ndarray, np.ndarray]:
     return point.values["Cv"][0], last
 
 
+@pytest.mark.long
 def test_a_ramp_of_large_strains() -> None:
     """Against scipy's solution: order one; and the closed form of the step, to round-off."""
     from scipy.integrate import solve_ivp
@@ -168,6 +169,7 @@ def test_the_tangent_is_that_of_differences(law: dict[str, Any]) -> None:
     assert np.abs(A - found).max() < 1e-8 * np.abs(A).max()
 
 
+@pytest.mark.long
 def test_what_a_step_gives_at_a_point() -> None:
     findings = {f.check: f for f in history(LawUnderTest(law_of(MAXWELL)))}
     assert all(f.verdict != "fail" for f in findings.values())
@@ -192,6 +194,7 @@ def test_what_a_step_gives_at_a_point() -> None:
 # --- in bodies ---
 
 
+@pytest.mark.long
 def test_equations_of_j2_are_those_of_the_law() -> None:
     """Forces of a body that yields, is unloaded and yields again, to round-off; Newton's rate."""
     own, known = (forces(held(law_of(table), 0.02, degree=2)) for table in (J2, BUILT_IN))
@@ -202,6 +205,7 @@ def test_equations_of_j2_are_those_of_the_law() -> None:
     assert state.energies["dissipated"] > 0
 
 
+@pytest.mark.long
 def test_newton_is_quadratic() -> None:
     """The tangent is consistent: the last but one residual squares."""
     law = law_of(MAXWELL)
@@ -231,6 +235,7 @@ ELSEWHERE: dict[str, dict[str, Any]] = {
 }
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", ELSEWHERE)
 def test_a_rate_in_python(name: str) -> None:
     """C - Cv - ... has the closed form Cv = (Cv_old + x C)/(1 + x), x = dt/tau, in any body."""
@@ -264,6 +269,7 @@ def test_a_rate_in_python(name: str) -> None:
     assert np.abs(first[1]).max() < np.abs(elastic[2]).max()
 
 
+@pytest.mark.long
 def test_a_stretch_that_is_held_relaxes() -> None:
     """Small strains: the force is that of dx/dt = -x/tau by backward Euler, 1/(1 + dt/tau)^n."""
     table = {
@@ -299,6 +305,7 @@ NORTON: dict[str, Any] = {
 }
 
 
+@pytest.mark.long
 def test_long_steps_of_a_rate_are_noted() -> None:
     """The estimate is the error of the branch in the second step of a ramp.
 
@@ -324,6 +331,7 @@ def test_long_steps_of_a_rate_are_noted() -> None:
     assert error_of_rates(law_of(NORTON))(900.0) < 1e-5
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("rule", ["backward-euler", "trapezoidal"])
 def test_creep_of_a_bar(rule: str) -> None:
     """Norton's law at a constant stress s, from rest at once: s/E + A (s/s0)^n t, at any step."""
@@ -345,6 +353,7 @@ def test_creep_of_a_bar(rule: str) -> None:
         assert found == pytest.approx(expected, rel=1e-9)
 
 
+@pytest.mark.long
 def test_a_run_goes_on() -> None:
     """From a state between, through JSON: to round-off; dissipation never falls."""
     first, known, middle = Statics(held(law_of(MAXWELL)), steps=10, rtol=1e-13), [], None
@@ -363,6 +372,7 @@ def test_a_run_goes_on() -> None:
         assert state.energies == pytest.approx(energies, rel=1e-12)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("scheme", ["generalized-alpha", "central-differences"])
 def test_in_motion(scheme: str) -> None:
     """The rate, and the same as equations, move alike."""
@@ -380,6 +390,7 @@ def test_in_motion(scheme: str) -> None:
     assert moved[0] == pytest.approx(moved[1], abs=1e-9 * np.abs(moved[1]).max())
 
 
+@pytest.mark.long
 def test_regions_of_unlike_memories() -> None:
     """A rate, equations, and an elastic region: ranks that lack one give the force of one rank."""
     soft = {**J2, "parameters": {"mu": 1.0, "K": 2.0, "sy": 0.05, "H": 0.1}}
@@ -403,6 +414,7 @@ def test_an_elastic_preload_has_not_yielded() -> None:
     assert len(list(Modal(problem, count=1, preload=True).modes())) == 1
 
 
+@pytest.mark.long
 def test_a_point_without_a_root_is_named() -> None:
     """dh/dt = c exp(h) (J - 1)^2 with J - 1 = t/2 has no solution beyond c t^3/12 = 1, t = 0.84."""
     table = {
@@ -474,12 +486,14 @@ LARGE = {"viscous_deviation": "large", "viscous": [{"ratio": 2.0, "time": TAU}]}
 RUBBER = {"law": "neo-hookean-split", "mu": 1.0, "K": 20.0, "volumetric": "quadratic"}
 
 
+@pytest.mark.long
 def test_the_built_in_branch_is_the_written_one() -> None:
     """Forces with the isochoric neo-Hookean law are those of `MAXWELL`, to round-off."""
     own, written = (forces(held(law_of(table))) for table in ({**RUBBER, **LARGE}, MAXWELL))
     assert own == pytest.approx(written, rel=1e-10, abs=1e-11 * np.abs(written).max())
 
 
+@pytest.mark.long
 def test_the_branch_beside_a_pressure() -> None:
     """nu = 0.5 and a pressure as an unknown: a square in plane strain, stretched and held."""
     law = law_of({"law": "neo-hookean-split", "mu": 1.0, "nu": 0.5, **LARGE})

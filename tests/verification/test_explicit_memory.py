@@ -69,7 +69,7 @@ def peaks(problem: Problem, **keys: Any) -> tuple[FloatArray, list[State]]:
     return np.array(found), states
 
 
-@pytest.mark.sample(1)
+@pytest.mark.long
 def test_a_bar_in_free_vibration_is_damped() -> None:
     """Logarithmic decrement pi tan(delta) of the series, up to its square (half a per cent)."""
     g = 0.03
@@ -90,7 +90,6 @@ def test_a_bar_in_free_vibration_is_damped() -> None:
 
 
 @pytest.mark.long
-@pytest.mark.sample(1)
 def test_explicit_and_implicit_agree() -> None:
     """Strong damping; lumped and consistent mass differ by the square of the mesh size."""
     off = []
@@ -119,6 +118,7 @@ def swung(law: Any = None, **keys: Any) -> Dynamics:
     return Dynamics(problem, **settings)
 
 
+@pytest.mark.long
 @BOTH
 def test_a_restart_is_exact(scheme: str) -> None:
     first, known, middle = swung(scheme=scheme), [], None

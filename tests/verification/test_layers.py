@@ -38,6 +38,7 @@ def at_interface(problem: Problem, layer: int) -> float:
     return float(comm.allreduce(stress.sum()) / comm.allreduce(len(stress)))
 
 
+@pytest.mark.long
 @pytest.mark.sample(3)
 @pytest.mark.parametrize("n", [2, 1], ids=["sphere", "tube"])
 @pytest.mark.parametrize("mu", [(1e6, 1e5), (1e5, 1e6)], ids=["stiff core", "soft core"])

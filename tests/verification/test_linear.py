@@ -105,7 +105,6 @@ Physical Volume("body") = {3};
 """
 
 
-@pytest.mark.sample(1)
 @pytest.mark.parametrize("nu", SPHERE)
 def test_lame_sphere_in_space(folder, nu):
     """An eighth of a hollow sphere of curved tetrahedra, some six through the wall.

@@ -80,7 +80,6 @@ def test_the_flag_swings():
     assert abs(state.energies["balance"]) < 1e-3 * abs(state.energies["external"])
 
 
-@pytest.mark.sample(1)
 @pytest.mark.parametrize(
     ("law", "known"),
     [

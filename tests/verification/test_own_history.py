@@ -144,6 +144,7 @@ def in_components() -> tuple[Any, Any]:
 TWINS = {"a function": lambda: (written(), built_in()), "formulas": in_components}
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", TWINS)
 def test_a_branch_is_that_of_viscous(name: str) -> None:
     """Forces of a body that is pulled, let go and pressed; the work is that of the forces.
@@ -178,6 +179,7 @@ ELSEWHERE: dict[str, tuple[Any, Any]] = {
 }
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", ELSEWHERE)
 def test_a_branch_elsewhere(name: str) -> None:
     """Unknowns beside the displacement, bodies in the plane, constants in space; to round-off."""
@@ -243,6 +245,7 @@ def curve(t: float) -> float:
     return 1 + float(np.interp(t, *np.transpose(CYCLES)))
 
 
+@pytest.mark.long
 def test_mullins_by_formula() -> None:
     """P = eta mu (l - 1/l) in tension of a rubber without a second constant, which stays as wide.
 
@@ -264,6 +267,7 @@ def test_mullins_by_formula() -> None:
     assert cosh(largest / M) > 2
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("K", [1e3, 1e8])
 def test_mullins_of_an_incompressible_rubber(K: float) -> None:
     """P = eta mu (l - 1/l^2), but for mu/K; with a large K the pressure is an unknown.

@@ -159,6 +159,7 @@ def test_other_formulations(keys: dict[str, Any]) -> None:
         assert axial(state) == pytest.approx(bar.stress(strain), rel=1e-9, abs=1e-9 * YIELD)
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("serial_only")
 @pytest.mark.parametrize("kinematic", [0.0, 5e9])
 @pytest.mark.parametrize("kind", [J2, J2Logarithmic])
@@ -468,6 +469,7 @@ def test_a_limit_load_is_told() -> None:
     assert 0.5 < float(found[1]) < 0.6
 
 
+@pytest.mark.long
 def test_a_plateau_has_no_limit_points(caplog: pytest.LogCaptureFixture) -> None:
     """An ideally plastic bar by arc length: the load stays, to round-off, and nothing branches."""
     rollers = [
@@ -521,6 +523,7 @@ def test_a_run_with_all_that_it_tells(law: str, tmp_path: Path, comm: MPI.Comm) 
     assert state.audit.verdict == "pass"
 
 
+@pytest.mark.long
 def test_three_materials_side_by_side() -> None:
     """One elastic, one viscous, one plastic, sheared together and held: stresses add up.
 

@@ -418,7 +418,7 @@ def swinging(n: int, **keys: Any) -> list[State]:
     return list(motion.steps())
 
 
-@pytest.mark.sample(1)
+@pytest.mark.long
 @pytest.mark.parametrize("scheme", ["generalized-alpha", "energy-momentum", "newmark"])
 def test_motion_to_second_order(scheme: str) -> None:
     """Of the energy, and of the balance of energy with the work on the branches."""
@@ -496,6 +496,7 @@ def test_modes_of_long_term_constants() -> None:
     assert frequencies(law, stiffness="long-term") == pytest.approx(plain, rel=1e-9)
 
 
+@pytest.mark.long
 def test_the_stable_step_is_that_of_a_sudden_load() -> None:
     """Explicit motion takes sqrt(2) times as many steps as without branches that double all."""
 
@@ -591,6 +592,7 @@ def test_a_series_is_read_and_written_back() -> None:
     assert Case(**tomllib.loads(case.to_toml())).materials == case.materials
 
 
+@pytest.mark.long
 def test_moduli_of_a_sudden_load_and_after_a_long_time() -> None:
     """The bulk modulus stays: E falls less than mu."""
     table = {"law": "linear-elastic", "K": 5.0, "mu": MU, "prony": PRONY}
@@ -604,6 +606,7 @@ def test_moduli_of_a_sudden_load_and_after_a_long_time() -> None:
     assert "relaxation" not in [f.check for f in material_report(LinearElastic(E=1, nu=0)).findings]
 
 
+@pytest.mark.long
 def test_statics_show_their_time(folder: Path) -> None:
     """In pictures, curves and the report: no load of 2000 %; a preload has a load."""
     *_, last = run(Case(**CASE, statics={"end": 20, "steps": 2}), output=folder / "a")

@@ -110,6 +110,7 @@ def test_sphere_blown_up_below_its_limit_point(folder, material, stretch):
     assert 2 + found["b_x"] == pytest.approx(outer, rel=1e-4)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("material", [RUBBER, MOONEY], ids=["neo-hookean", "mooney-rivlin"])
 def test_sphere_beyond_its_limit_point(folder, material):
     """The path of equilibria up to three times the radius; neo-Hookean rubber gives way near 1.8.
@@ -178,7 +179,7 @@ TORSION = {
 """Material, axial stretch, axial force and torque, with 1 rad per deformed length and mu = 1."""
 
 
-@pytest.mark.sample(1)
+@pytest.mark.long
 @pytest.mark.parametrize("name", TORSION)
 def test_rivlin_torsion(folder, name):
     """T = pi mu psi/2, N = pi mu (l - l^-2) - pi mu psi^2/4; -pi psi^2 (c10 + 2 c01)/2 at l = 1.

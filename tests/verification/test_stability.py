@@ -168,7 +168,6 @@ BEYOND = {
 """Bodies, and the least displacement [m] of what bends at 1.5 times the critical load."""
 
 
-@pytest.mark.sample(1)
 @pytest.mark.parametrize("method", ["direct", "iterative"])
 @pytest.mark.parametrize("name", BEYOND)
 def test_nothing_stands_straight_beyond_its_critical_load(name: str, method: str):

@@ -80,6 +80,7 @@ PROBLEMS: dict[str, Any] = {
 }
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", PROBLEMS)
 def test_nothing_comes_back(name: str) -> None:
     """Pulled to and fro: the work is what is stored and lost, to second order in the step."""
@@ -104,6 +105,7 @@ def test_nothing_comes_back(name: str) -> None:
     assert off[1] < 5e-3
 
 
+@pytest.mark.long
 def test_beside_a_law_of_large_strains() -> None:
     """There the work on the branches is one number, and the linear half has both."""
     body = box_body(size=(2, 1, 1), cells=(2, 1, 1))

@@ -81,6 +81,7 @@ def front(comm: MPI.Comm, r: FloatArray, a: FloatArray) -> tuple[float, float]:
     return last, comm.allreduce(float(np.min(r[~yields], initial=2.0)), op=MPI.MIN)
 
 
+@pytest.mark.long
 def test_the_plastic_radius_and_the_pressure_over_it(comm: MPI.Comm) -> None:
     """Nearly incompressible: what is prescribed gives radius, pressure and plastic strain.
 

@@ -9,6 +9,8 @@ import re
 from collections.abc import Iterable
 from pathlib import Path
 
+import pytest
+
 import dolfin_elastic
 from dolfin_elastic.case.reference.json_schema import case_schema
 
@@ -71,6 +73,7 @@ def check(found: Iterable[str]) -> None:
     assert not wrong, "\n".join(wrong)
 
 
+@pytest.mark.long
 def test_console_log_and_errors_speak_the_words_of_the_field() -> None:
     check(text for path in MODULES for text in texts(path))
 

@@ -219,6 +219,7 @@ HERE = (13435.1767, 25563.5394, 80769.0878, 81513.0932, 130781.6648, 163439.3395
 """Frequencies of the cantilever with a mass that is exact."""
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", DECKS)
 def test_numbers_of_calculix(tmp_path: Path, name: str) -> None:
     """From the deck to displacements, frequencies and factors, all through `import`."""

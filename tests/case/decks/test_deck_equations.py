@@ -182,6 +182,7 @@ def cell(equations: str, step: str) -> str:
     return text + laws + STATIC.format(step)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("form", ["reference nodes", "corners"])
 def test_a_cell_of_layers(tmp_path: Path, form: str) -> None:
     """Across layers compliances add up, along them stiffnesses: exact in linear elements.  A force

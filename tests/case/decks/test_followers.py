@@ -102,6 +102,7 @@ def test_an_average(tmp_path: Path) -> None:
     assert one(deck)["load"] == [{**keys, **acting}]
 
 
+@pytest.mark.long
 def test_springs_to_the_ground(tmp_path: Path) -> None:
     """E A / L and the springs at four corners share the force; nu = 0, and equal parts of the
     force and the springs at corners alone would bend the end face, so that all nodes of it have

@@ -77,6 +77,7 @@ def states(folder: Path, table: dict[str, Any]) -> list[Any]:
     return list(run(Case.from_dict(table, folder), output=folder / "out"))
 
 
+@pytest.mark.long
 def test_tension_gravity_temperature_and_rotation(tmp_path: Path) -> None:
     """Exact for quadratic displacements: F L/(E A), rho g L^2/(2 E), alpha dT L; to the solver's
     tolerance.  A bar that turns has rho w^2 L^3/(3 E), cubic in x: 1 % with four elements."""

@@ -71,6 +71,7 @@ def force(dof: str, value: float, kind: str = "rigid_force") -> str:
 FIXED = "".join(f"<R{a}_dof>1</R{a}_dof>" for a in "yzuvw")
 
 
+@pytest.mark.long
 def test_a_rigid_block_that_is_pulled(tmp_path: Path) -> None:
     """With nu = 0 the bar has one strain e, and St. Venant and Kirchhoff's law F = E A (1 + e)
     (e + e^2/2); the block moves by e L.  Two forces in a direction add up.

@@ -48,7 +48,6 @@ def boss(occ: Any) -> None:
     occ.fuse(plate[:1], [plate[1], (3, occ.addCylinder(13, 5, 3, 0, 0, 4, 2))])
 
 
-@pytest.mark.sample(1)
 @pytest.mark.parametrize("curved", [True, False])
 def test_re_entrant_edges_are_those_of_the_file(folder: Path, curved: bool) -> None:
     """The foot of the boss, of about 2 pi 2, and that of the step, of 10; both of 270 degrees.
@@ -71,6 +70,7 @@ def _of(comm: Any, path: Path, curved: bool) -> dict[int, float]:
     return lengths_of_edges(read_body(path, comm=comm, size=1.5, curved=curved))
 
 
+@pytest.mark.long
 @pytest.mark.sample(2)
 @pytest.mark.parametrize("size", [1.0, 4.0, 9.0])
 def test_a_fillet_is_no_edge_however_coarse_it_is(folder: Path, size: float) -> None:

@@ -101,7 +101,6 @@ def test_fibres_that_bear_compression_are_smooth():
 SIZES = (1, 1 - 1e-12, 1 + 1e-9, 1 + 1e-5, 1.1, 0.903, 0.908, 1.104, 1.107, 0.2, 5.0)
 
 
-@pytest.mark.sample(1)
 @pytest.mark.usefixtures("serial_only")
 @pytest.mark.parametrize("volumetric", VOLUME_STRAINS)
 def test_energies_of_volume(volumetric):

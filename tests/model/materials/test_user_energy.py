@@ -344,7 +344,6 @@ on = "left"
 # --- through the whole solver ---
 
 
-@pytest.mark.sample(1)
 @pytest.mark.parametrize("degree", [1, 2])
 def test_same_answer_as_the_built_in_law(comm, degree):
     laws = [

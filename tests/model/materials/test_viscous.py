@@ -355,6 +355,7 @@ def test_curves_are_those_of_the_law() -> None:
     assert viscous_curves(MATERIALS["yeoh"](**MATERIALS["yeoh"].example)) is None
 
 
+@pytest.mark.long
 def test_curves_are_written(tmp_path: pathlib.Path) -> None:
     """Where there is a shear modulus, in Pa as well; ends are those of the law."""
     for name, heads in (("a formula", 0), ("linear-elastic", 1)):

@@ -97,6 +97,7 @@ def sheared(material: Any, dt: float) -> FloatArray:
     return np.array([state.reactions["top"] for state in states[1:]])
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("table", "temperature"), [(WLF, 380.0), (ARRHENIUS, "0 degC")])
 def test_a_body_at_two_temperatures(table: dict[str, Any], temperature: Any) -> None:
     """The same forces after times in the proportion of the factor: the master curve, shifted."""

@@ -268,7 +268,6 @@ def test_st_venant_kirchhoff_loses_ellipticity():
     assert verdicts(material_report(NeoHookean(E=E, nu=NU)))["elliptic, uniaxial"] == "pass"
 
 
-@pytest.mark.sample(1)
 @pytest.mark.parametrize(
     ("law", "text"),
     [
@@ -285,7 +284,6 @@ def test_growth_as_the_volume_vanishes(law, text):
 
 
 @pytest.mark.long
-@pytest.mark.sample(1)
 @pytest.mark.parametrize(
     ("law", "text"),
     [

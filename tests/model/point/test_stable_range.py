@@ -51,6 +51,7 @@ def test_st_venant_kirchhoff():
     within_a_step(found.low, found.high, (3**-0.5, LARGEST * 2))
 
 
+@pytest.mark.long
 def test_what_limits_a_law_is_named():
     law = MooneyRivlin(c10=C10, c01=C01, nu=0.49)
     assert law.destabilising() == ("c10 = -2.5e+05 Pa",)

@@ -44,6 +44,7 @@ def errors(curves: TimeCurves) -> list[float]:
     return found
 
 
+@pytest.mark.long
 def test_a_standard_linear_solid(monkeypatch: pytest.MonkeyPatch) -> None:
     """Relaxation is exact in each step; creep and loops are of second order in its length.
 
@@ -132,6 +133,7 @@ def test_a_metal_that_creeps_up_to_its_hardening() -> None:
     assert curves.creep[-1] - 1 == pytest.approx(500e6 / 200e9 + 250e6 / 20e9, rel=1e-3)
 
 
+@pytest.mark.long
 def test_files_and_pages(tmp_path: Path) -> None:
     law = solid()
     report = material_report(LawUnderTest(law).given)

@@ -83,7 +83,6 @@ def alike(found: list[tuple[np.ndarray, np.ndarray]], tolerance: float) -> None:
 # --- rollers on flat surfaces ---
 
 
-@pytest.mark.sample(1)
 @pytest.mark.parametrize("method", ["direct", "iterative"])
 @pytest.mark.parametrize(
     ("law", "degree", "formulation"),
@@ -264,7 +263,6 @@ def test_oblique_directions_at_one_node():
 # --- the tangent ---
 
 
-@pytest.mark.sample(1)
 @pytest.mark.parametrize(("degree", "formulation"), [(1, "displacement"), (2, "mixed")])
 def test_projected_tangent_is_the_residuals_derivative(degree, formulation):
     """Where the held directions are met, also with springs; the tangent stays symmetric."""
@@ -444,7 +442,6 @@ def bar(law: Any, *more: Any, load: float = 0.0, **fields: Any) -> Problem:
     )
 
 
-@pytest.mark.sample(1)
 @pytest.mark.parametrize("total_value", [False, True])
 def test_bar_on_a_spring(total_value):
     """u = p/k + p x/E, exactly; the spring carries the load and stores (p A)^2/(2 k A)."""
@@ -512,7 +509,6 @@ def test_what_holds_a_body():
 RHO = 1000.0
 
 
-@pytest.mark.sample(1)
 @pytest.mark.parametrize("scheme", ["generalized-alpha", "symplectic-euler"])
 def test_mass_on_a_dashpot(scheme):
     """A stiff block of mass 1000 kg and a dashpot of c = 1000 N s/m: v = exp(-t c/m).
@@ -567,7 +563,7 @@ def test_dashpots_lower_the_stable_step():
     march.assembler.destroy()
 
 
-@pytest.mark.sample(1)
+@pytest.mark.long
 @pytest.mark.parametrize("scheme", ["generalized-alpha", "symplectic-euler"])
 def test_turned_block_moves_alike(scheme):
     """A block that slides on slanted rollers, one of them moving, and the same unturned."""

@@ -284,7 +284,6 @@ def cylinders(
     gmsh.finalize()
 
 
-@pytest.mark.sample(1)
 @pytest.mark.parametrize(
     ("degree", "order", "geometry"),
     [

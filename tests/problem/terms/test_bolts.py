@@ -139,6 +139,7 @@ def frame() -> Body:
     return body.named(surfaces={"cut": np.sort(cut).astype(np.int32)})
 
 
+@pytest.mark.long
 def test_each_section_of_a_shank_has_the_preload() -> None:
     """Of a frame at large strains, whose beams bend: by the nodal forces across a section."""
     problem = Problem(
@@ -180,6 +181,7 @@ def test_a_cut_bar_is_shortened_by_what_its_force_needs(at: float, degree: int) 
         assert abs(section.force[2]) == pytest.approx(PRELOAD, rel=1e-9)
 
 
+@pytest.mark.long
 def test_a_cut_equals_a_shank_at_large_strains() -> None:
     """Of slender legs: what a section is shortened by, the whole leg is, to the strain squared."""
     found = {}

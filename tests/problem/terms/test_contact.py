@@ -99,7 +99,6 @@ def force_of_plates(dim: int, stretch: float) -> float:
     return -(mu * (stretch - 1 / stretch) + lmbda * np.log(J) / stretch)
 
 
-@pytest.mark.sample(1)
 @pytest.mark.parametrize(("dim", "degree"), [(2, 1), (2, 2), (3, 1), (3, 2)])
 def test_a_block_between_plates(dim, degree):
     """Uniform pressure: every rule is exact, and what penetrates only shortens the way."""
@@ -379,7 +378,6 @@ def quarter_disc(path, h):
     gmsh.finalize()
 
 
-@pytest.mark.sample(1)
 @pytest.mark.parametrize("geometry", ["plane-strain", "axisymmetric"])
 def test_hertz(geometry, folder, comm):
     """Cylinder and sphere of radius 1 on a rigid plane.
@@ -557,7 +555,6 @@ def test_tangent(shape):
 # --- motion ---
 
 
-@pytest.mark.sample(1)
 @pytest.mark.parametrize("scheme", ["generalized-alpha", "symplectic-euler"])
 def test_a_block_bounces(scheme):
     """A block thrown at the floor comes back; what the penalty stores is counted.

@@ -179,7 +179,6 @@ def test_point_force_by_name_is_that_by_place() -> None:
 # --- springs ---
 
 
-@pytest.mark.sample(1)
 @pytest.mark.parametrize("degree", [1, 2])
 @pytest.mark.parametrize("whole", [False, True])
 def test_bar_on_springs_along_edges(degree: int, whole: bool) -> None:

@@ -81,7 +81,6 @@ def pushed(
     )
 
 
-@pytest.mark.sample(1)
 @pytest.mark.parametrize(("dim", "degree"), [(2, 1), (2, 2), (3, 1), (3, 2)])
 def test_a_block_slides(dim, degree):
     """The tangential force is mu times the normal one, and what it does is lost."""
@@ -287,6 +286,7 @@ def thrown(**settings: Any) -> Dynamics:
     return Dynamics(problem, **fields)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "settings",
     [IMPLICIT, {"scheme": "symplectic-euler"}, {"scheme": "central-differences"}],
@@ -316,6 +316,7 @@ def test_a_block_comes_to_rest(settings):
 EXPLICIT = {"scheme": "central-differences", "dt": None}
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("share", "degree", "settings", "close"),
     [

@@ -74,6 +74,7 @@ def tower(gap: float, contacts: list[Any]) -> Problem:
     )
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("steps", [30, pytest.param(1000, marks=ALONE)])
 def test_a_tower_rests_on_its_barriers(steps):
     """Blocks sink to where barriers carry them, and stay: they move less than the distance d^."""
@@ -89,6 +90,7 @@ def test_a_tower_rests_on_its_barriers(steps):
         assert np.ptp(moves[-21:], axis=0).max() < 5e-3 * 20 * 5e-3
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("steps", [4, pytest.param(400, marks=ALONE)])
 def test_a_tower_rests_on_its_contacts(steps):
     """From the equilibrium of statics nothing moves by more than round-off."""
@@ -125,6 +127,7 @@ def incline(slope: float, steps: int, *, grows: bool = False) -> tuple[np.ndarra
     return np.array(t), np.array(x)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("steps", [50, pytest.param(10000, marks=ALONE)])
 def test_what_sticks_does_not_creep(steps):
     """At 0.98 of the limit: by round-off only."""
@@ -132,6 +135,7 @@ def test_what_sticks_does_not_creep(steps):
     assert np.ptp(x) < 1e-12
 
 
+@pytest.mark.long
 def test_what_slides_does_so_as_fast_as_it_should():
     t, x = incline(1.5 * 0.3, 350, grows=True)
     angle, late = np.arctan(0.45), t > 0.55
@@ -163,6 +167,7 @@ def test_a_spinning_block_falls_on_its_corners():
 # --- closed forms ---
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("friction", [0.2, 0.6])
 def test_a_wedge(friction):
     """Pushed between two planes and let go: it stays where mu is above the tangent of its angle.
@@ -287,6 +292,7 @@ SCENES: dict[str, tuple[Callable[[Problem], Any], dict[str, Any], type[ElasticEr
 }
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", SCENES)
 def test_the_cause_is_named(name):
     solve, keys, kind, words = SCENES[name]

@@ -87,6 +87,7 @@ def test_a_bar_is_shortened_by_the_force_over_its_stiffness():
     assert way(state) == pytest.approx(GAP + FORCE / E, rel=1e-7)
 
 
+@pytest.mark.long
 def test_a_thin_stamp_takes_the_steps_of_a_thick_one():
     """It moves with the body, by more than it is thick: nothing passes through it."""
     paths = [

@@ -163,7 +163,6 @@ def test_a_plane_of_triangles(degree, friction, folder, comm):
 
 # Facets of 1/10 lie up to 0.1^2/(4*3) below the ball: 0.6 % of the depth, those of 3/8 all but 9 %.
 # Curved ones are off by 0.53^4/(128*3^3): 0.01 % of the depth.
-@pytest.mark.sample(1)
 @pytest.mark.parametrize(
     ("degree", "cells", "smooth", "within"),
     [(1, 30, False, 0.02), (2, 30, False, 0.02), (1, 8, True, 2e-4), (2, 8, True, 2e-4)],
@@ -217,6 +216,7 @@ def test_a_smooth_surface(comm):
         assert turn == pytest.approx(near.curvature[same] @ axis, rel=1e-4, abs=1e-5)
 
 
+@pytest.mark.long
 def test_a_cavity_under_a_force(folder, comm):
     """A body inside a box of triangles, one wall of which is pressed on as a plane would be."""
     file = written(folder / "box.stl", *brick((-1, -1, 0), (2, 2, 5)), comm)
@@ -238,7 +238,7 @@ OBSTACLES: dict[str, Any] = {
 }
 
 
-@pytest.mark.sample(1)
+@pytest.mark.long
 @pytest.mark.parametrize("degree", [1, 2])
 @pytest.mark.parametrize("shape", OBSTACLES)
 def test_edges_of_facets(shape, degree, folder, comm):
@@ -255,6 +255,7 @@ def test_edges_of_facets(shape, degree, folder, comm):
     assert pair.gap_error()[0] <= pair.tolerance
 
 
+@pytest.mark.long
 def test_friction_in_valleys(folder, comm):
     """Points that come to lie where facets meet, and stick there, end no iteration late."""
     cup = sheet(12, lambda x, y: 0.3 * ((x - 0.5) ** 2 + (y - 0.5) ** 2))
@@ -318,6 +319,7 @@ def test_a_load_does_not_pass(degree, folder, comm):
 # --- motion, runs that go on, cases ---
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("scheme", ["symplectic-euler", "generalized-alpha"])
 def test_motion(scheme, folder, comm):
     """A block falls on triangles as on a plane."""
@@ -388,6 +390,7 @@ def test_in_a_case(folder, comm):
     assert Case.from_dict(alone, folder).contact[0].mesh.file == "plane.obj"
 
 
+@pytest.mark.long
 def test_a_run_goes_on(folder, comm):
     """As if it had not ended; not with another surface.  Its folder is enough for pictures."""
     row = tables("bumps.stl")

@@ -80,6 +80,7 @@ def test_a_plug_in_a_conical_bore(turned, degree, friction):
     assert force == pytest.approx(normal * (np.sin(ANGLE) + friction * np.cos(ANGLE)), rel=1e-6)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("degree", "settings", "shape"),
     [

@@ -115,6 +115,7 @@ def test_a_plane_that_has_turned(dim, degree):
     assert area == pytest.approx(part, rel=1e-5)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("degree", [1, 2])
 def test_a_block_on_a_turntable(degree):
     """It sticks and turns with it, by 10 degrees, as it was: friction alone holds it."""

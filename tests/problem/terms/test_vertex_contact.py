@@ -65,7 +65,6 @@ def curved(path: Any, dim: int, h: float, order: int) -> None:
     gmsh.finalize()
 
 
-@pytest.mark.sample(1)
 @pytest.mark.parametrize("order", [1, 2], ids=["straight", "curved"])
 @pytest.mark.parametrize("kind", ["ball", "plane-strain", "axisymmetric"])
 def test_hertz(kind, order, folder, comm):
@@ -153,7 +152,7 @@ def test_tangent(dim, shape):
         assert assembler.tangent.matrix.isSymmetric(1e-9 * size)
 
 
-@pytest.mark.sample(1)
+@pytest.mark.long
 def test_a_block_bounces():
     """What the pressures store comes back as motion: the forces have that potential."""
     body = box_body(size=(1, 1, 1), cells=(2, 2, 2))
@@ -199,6 +198,7 @@ def test_a_slender_body_stays_on_what_it_presses_on():
     assert -state.reactions["edge"][1] == pytest.approx(1e9 / 4 / 37**3 * 0.55, rel=0.1)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("dim", [2, 3])
 def test_rubber_on_a_floor_stays_flat_under_pressure(dim):
     """A block that cannot widen, under a pressure of six times its shear modulus.

@@ -37,7 +37,6 @@ def written(folder: Path, dim: int, degree: int) -> Problem:
     return problem
 
 
-@pytest.mark.sample(1)
 @pytest.mark.parametrize(("dim", "degree"), [(3, 2), (2, 1), (2, 2), (3, 1)])
 def test_what_a_run_has_left(folder: Path, dim: int, degree: int) -> None:
     """Every number as it was computed, on cells with their mid-edge nodes in VTK's order."""

@@ -54,6 +54,7 @@ def ring(folder: Path, size: float, degree: int) -> Peaks:
     return find_peaks(problem, ErrorEstimator(problem)(state))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("size", "degree"), [(0.7, 2), (0.5, 2), (0.4, 2), (0.2, 1)])
 def test_effectivity_of_the_largest_strain(folder: Path, size: float, degree: int) -> None:
     """Lame: e_tt = (1 + nu)/E ((1 - 2 nu) C + C b^2/r^2), C = p a^2/(b^2 - a^2), at r = a.

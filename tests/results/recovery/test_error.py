@@ -119,7 +119,6 @@ def true_error(problem: Problem, law: Law) -> float:
     return float(integral(problem, form))
 
 
-@pytest.mark.sample(1)
 @pytest.mark.parametrize(("dim", "degree", "n"), [(2, 2, 8), (3, 2, 4), (2, 1, 16), (3, 1, 8)])
 @pytest.mark.parametrize("kind", [LinearElastic, NeoHookean], ids=lambda k: k.__name__)
 def test_effectivity_of_manufactured_solutions(kind: Any, dim: int, degree: int, n: int) -> None:
@@ -142,7 +141,6 @@ With nu = 0 the clamped end of the angle is not singular, see below.
 """
 
 
-@pytest.mark.sample(1)
 @pytest.mark.parametrize(
     ("script", "size", "degree", "fine"),
     [

@@ -73,6 +73,7 @@ def block(law: Any, **keys: Any) -> Problem:
     return Problem(body, law, supports=supports, loads=[load], **keys)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "problem",
     [

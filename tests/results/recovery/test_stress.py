@@ -159,7 +159,6 @@ def stress_errors(dim: int, degree: int, n: int) -> Any:
     return norm(raw - right, inside), norm(recovered - right, inside), ratio
 
 
-@pytest.mark.sample(1)
 @pytest.mark.parametrize(
     ("dim", "degree", "cells"),
     [(2, 1, (8, 16, 32)), (2, 2, (8, 16)), (3, 1, (8, 16)), (3, 2, (4, 8))],

@@ -288,6 +288,7 @@ def test_films_that_cannot_be_made_are_output_errors(
         film(folder / "a.mp4", [0.0], [0], 30)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("script", "why"), [("exit 1", "Xvfb has ended"), ("exec sleep 60", "no display after")]
 )

@@ -107,7 +107,6 @@ def test_a_soft_part_leaves_no_constant():
     assert HydrostaticConstant(problem).bodies == []
 
 
-@pytest.mark.sample(1)
 @pytest.mark.parametrize("degree", [1, 2])
 def test_iterations_and_factors_agree(degree):
     """Fieldsplit with GMRES, and LDL^T, in space, where J is a cubic polynomial in each cell."""
@@ -174,6 +173,7 @@ def test_a_platen_knows_the_pressure():
     assert state.negative == 0
 
 
+@pytest.mark.long
 def test_motion_of_a_held_body():
     """Stirred inside, it keeps energy and volume, and its pressure has no mean at any state."""
     problem = Problem(

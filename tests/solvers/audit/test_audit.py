@@ -268,6 +268,7 @@ def test_axisymmetric():
     assert last.notes == ("no balance of moments and radial forces: they cancel round the axis",)
 
 
+@pytest.mark.long
 def test_what_is_not_judged():
     """No energy, a stabilised pressure, laws whose moments balance in different places."""
     assert "energy" in audits(block(Textbook(E=E, nu=NU)))[-1].notes[0]

@@ -148,6 +148,7 @@ def half_and_half() -> Body:
     )
 
 
+@pytest.mark.long
 def test_an_energy_is_left_behind():
     """Beyond the pole of its energy the stress of the gel is finite again, but not the energy."""
     problem = Problem(
@@ -620,7 +621,6 @@ def test_st_venant_kirchhoff_beyond_its_limit_load(shell: Body) -> None:
     assert re.search(r"at the end: \w.*, Newton iterations", str(error))
 
 
-@pytest.mark.sample(1)
 @pytest.mark.parametrize("law", ["hencky", "neo-hookean"])
 def test_the_laws_that_go_on_do(shell: Body, law: str) -> None:
     """What the advice names reaches the whole load."""
@@ -742,7 +742,7 @@ def test_a_law_that_gives_way_in_motion():
     assert "law = 'neo-hookean'" in found.advice
 
 
-@pytest.mark.sample(1)
+@pytest.mark.long
 @pytest.mark.parametrize("back", [True, False])
 def test_constants_that_make_a_material_unstable_are_named(back):
     """A fit with c10 < 0, drawn both ways or one: its constants, not buckling or a unit.

@@ -46,7 +46,7 @@ from dolfin_elastic.solvers.assembly.matrix import TangentMatrix
 # --- the oscillator ---
 
 
-@pytest.mark.sample(1)
+@pytest.mark.long
 @pytest.mark.parametrize("radius", [1.0, 0.8, 0.0])
 def test_second_order_in_time(radius):
     """Distance from the exact place in the plane of u and v/omega, over four time steps."""

@@ -56,7 +56,6 @@ def warned(problem: Problem, **settings: Any) -> tuple[list[str], State]:
 
 
 @pytest.mark.long
-@pytest.mark.sample(1)
 @pytest.mark.parametrize("radius", [0.9, 0.5])
 @pytest.mark.parametrize("scheme", ["alpha2", "generalized-alpha"])
 def test_work_of_a_spring_and_a_dashpot(scheme: str, radius: float, comm: MPI.Comm) -> None:
@@ -236,7 +235,6 @@ def test_cavities_are_told_of(scheme: str, comm: MPI.Comm) -> None:
     assert state.numbers.keys() == rest.numbers.keys()
 
 
-@pytest.mark.sample(1)
 @pytest.mark.parametrize("scheme", ["generalized-alpha", "central-differences", "alpha2"])
 def test_rigid_surfaces_are_told_of(scheme: str, comm: MPI.Comm) -> None:
     """A stiff strip turned by 0.5 t^2: the moment is that of its inertia, m (a^2 + b^2)/12 + m r^2.

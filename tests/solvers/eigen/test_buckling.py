@@ -159,6 +159,7 @@ def test_pressed_by_displacement(comm: MPI.Comm) -> None:
     assert force == pytest.approx(4 * EULER / (1 + shear), rel=1.5e-2)
 
 
+@pytest.mark.long
 def test_mixed(comm: MPI.Comm) -> None:
     """With a pressure as an unknown: the same factors where both formulations are good.
 
@@ -366,6 +367,7 @@ def test_closed_forms(shell: Callable[[float], Problem], within: float) -> None:
     assert factors(shell(1.0), count=1)[0] == pytest.approx(1.0, rel=within)
 
 
+@pytest.mark.long
 def test_loads_that_bend(comm: MPI.Comm) -> None:
     """A steel column of 10 x 10 x 200 mm under 2 kN buckles at Euler's load, whatever bends it.
 

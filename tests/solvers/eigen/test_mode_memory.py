@@ -82,6 +82,7 @@ def test_a_choice_of_one_is_refused(law: Law) -> None:
     assert error.value.where == "modal.stiffness"
 
 
+@pytest.mark.long
 def test_a_preload_that_yields_is_refused() -> None:
     law = DamagedRubber(E=1, nu=0.3, density=1, limit=0.5)
     with pytest.raises(InputError, match="a material has yielded") as error:
@@ -115,6 +116,7 @@ def test_a_yielded_state_has_elastic_modes_if_asked_for() -> None:
     assert found == pytest.approx(rest, rel=1e-8)
 
 
+@pytest.mark.long
 def test_elastic_modes_of_large_strains() -> None:
     """A rod that has been pulled 10 % longer vibrates as one that was made so, under its stress.
 

@@ -281,6 +281,7 @@ def iterations(problem: Problem, petsc: dict[str, Any] | None = None) -> int:
     return state.krylov
 
 
+@pytest.mark.long
 @pytest.mark.sample(2)
 @pytest.mark.parametrize(
     ("dim", "degree", "coarse", "fine"), [(3, 1, 6, 12), (3, 2, 3, 6), (2, 1, 16, 48)]

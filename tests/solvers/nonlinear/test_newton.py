@@ -192,6 +192,7 @@ def until_failure(problem: Problem, **settings: Any) -> tuple[list[State], Conve
     return states, caught.value
 
 
+@pytest.mark.long
 def test_failure_says_where_and_what_to_try():
     states, error = until_failure(crushed(), steps=4, max_iterations=12, min_step=1 / 16)
     displacement = [state.max_displacement for state in states]
@@ -207,6 +208,7 @@ def test_failure_says_where_and_what_to_try():
     assert all(b > a for a, b in pairwise(displacement))
 
 
+@pytest.mark.long
 def test_the_last_states_are_right_although_the_next_one_fails():
     """Just below the limit point the stretch is that of the closed form."""
     states, _ = until_failure(crushed(), steps=4, max_iterations=12, min_step=1 / 4, rtol=1e-12)

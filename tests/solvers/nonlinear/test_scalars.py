@@ -86,6 +86,7 @@ def test_newton_is_quadratic_with_scalars():
     assert orders > 1.7, state.residuals
 
 
+@pytest.mark.long
 def test_force_on_a_plate_is_the_traction_it_stands_for():
     """A plate moves alike whether its force is its own or comes as traction on its surface."""
     h, F = 0.2, np.array([3.0, -20.0, 10.0])
@@ -380,6 +381,7 @@ def stretch(state):
     return float(np.cbrt(state.numbers["volume_inside"] / HALF))
 
 
+@pytest.mark.long
 def test_sphere_by_its_volume(folder):
     """Beyond the limit point, at a stretch near 1.8, the pressure falls while the volume grows.
 
@@ -505,6 +507,7 @@ def test_a_run_from_a_guess_begins_at_its_own_time(folder):
     assert second.numbers["pressure_tube"] > 1.05 * p
 
 
+@pytest.mark.long
 def test_arc_length_cavity_and_rigid_surface_together(folder):
     """A path by its length ends where the growing load does."""
     found = []
@@ -570,6 +573,7 @@ def test_tangent_of_the_whole_system(folder):
     assert np.abs(scalars).max() < 1e-8 * np.abs(system.scalar_part(y)).max()
 
 
+@pytest.mark.long
 def test_pressure_is_the_derivative_of_energy_by_volume():
     """dW/dV = p in a solid whose bottom, held at its rim, bulges; the cone below it has V = 1/3."""
     problem = Problem(

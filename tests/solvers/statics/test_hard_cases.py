@@ -212,7 +212,6 @@ def test_a_material_that_gives_way_in_compression():
 # --- beyond what a material can ---
 
 
-@pytest.mark.sample(1)
 @pytest.mark.parametrize("law", [NH, StVenantKirchhoff(E=E, nu=NU)])
 def test_squeezed_through_itself(law):
     """A plate that goes below the other one: no equilibrium without inverted cells is found."""

@@ -79,7 +79,6 @@ def truss(folder: Path, load: float = 1.5, **statics: Any) -> list[State]:
 
 @pytest.mark.parametrize("rtol", [1e-4, 1e-6, 1e-11])
 @pytest.mark.parametrize("first", [0.05, 0.4])
-@pytest.mark.sample(1)
 def test_errors_are_at_least_the_true_ones(folder, first, rtol):
     """Also where forces balance to few digits, or to many: beside the closed form."""
     *_, last = truss(folder, first_step=first, rtol=rtol)

@@ -81,6 +81,7 @@ def test_what_was_too_long_is_known_after_a_restart():
     assert march(one, needs) == march(other, needs)
 
 
+@pytest.mark.long
 def test_a_bar_that_is_bent_beyond_its_yield_stress(monkeypatch):
     """By 120 degrees in ten steps, which are too long: 270 Newton iterations, failed ones too.
 

@@ -81,6 +81,7 @@ def last(case: Case, folder: Path, text: str, share: str, **limits: int) -> Prog
     return progress
 
 
+@pytest.mark.long
 def test_stress_at_a_hole(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     """Kirsch: three times the far stress, within the tolerance and the error that is told."""
     folder = on_root(WORLD, lambda: tmp_path)
@@ -166,7 +167,7 @@ def kirsch_energy() -> float:
     return float(energy)
 
 
-@pytest.mark.sample(1)
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("text", "share", "exact"),
     [
@@ -189,7 +190,6 @@ def test_other_results(tmp_path: Path, text: str, share: str, exact: float) -> N
 
 
 @pytest.mark.long
-@pytest.mark.sample(1)
 @pytest.mark.parametrize(
     ("limits", "verdict", "reason"),
     [
@@ -254,6 +254,7 @@ def test_ranks_agree(tmp_path: Path) -> None:
         assert np.allclose(other, first, rtol=1e-7)
 
 
+@pytest.mark.long
 def test_reaction_of_a_support(tmp_path: Path) -> None:
     """The length of the whole force, which is that of the load on every mesh."""
     folder = on_root(WORLD, lambda: tmp_path)
@@ -364,7 +365,7 @@ def disk(path: Path) -> None:
         gmsh.write(str(path))
 
 
-@pytest.mark.sample(1)
+@pytest.mark.long
 @pytest.mark.parametrize(("degree", "nu"), [(2, 0.3), (1, 0.4999)])
 @pytest.mark.parametrize("wanted", ["strain_energy", "reaction of inner"])
 def test_the_polygon_is_not_certified(folder: Path, degree: int, nu: float, wanted: str) -> None:

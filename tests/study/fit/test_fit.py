@@ -25,6 +25,7 @@ def treloar(kind: str) -> tuple[np.ndarray, np.ndarray]:
     return table[:, 0], 1e6 * table[:, 1]
 
 
+@pytest.mark.long
 def test_ogden_with_three_terms_for_treloars_rubber():
     """Within 2 % of the largest stress of each test, in one law for all three."""
     kinds = ("uniaxial", "equibiaxial", "planar")
@@ -128,6 +129,7 @@ def test_compressible_material_by_a_volumetric_test():
     assert found["K"].value == pytest.approx(3e6, rel=1e-6)
 
 
+@pytest.mark.long
 def test_intervals_hold_the_truth():
     """In 90 to 98 of 100 noisy data sets, of each constant and on the whole: 95 are expected."""
     true, s = np.array([0.2e6, 0.05e6]), np.linspace(1.05, 2.5, 20)
@@ -142,6 +144,7 @@ def test_intervals_hold_the_truth():
     assert all(90 <= count <= 98 for count in np.sum(held, axis=0))
 
 
+@pytest.mark.long
 def test_intervals_of_an_exponent_from_two_tests_of_different_scatter():
     """The same where the model is linearised, and each test has a scatter of its own."""
     mu, alpha, s = 0.3e6, 2.6, np.linspace(1.1, 2.5, 16)
@@ -187,6 +190,7 @@ NECKS = np.linspace(1.1, 3.0, 20)
 FALLS = 1e6 * (NECKS - NECKS**-2) * np.exp(-0.4 * (NECKS - 1) ** 2)
 
 
+@pytest.mark.long
 def test_the_best_of_stable_laws():
     """The constants are those of the quadratic program, Yeoh's force being linear in them.
 
@@ -228,6 +232,7 @@ def test_stability_costs_nothing_where_it_is_there():
     assert found.notes == free.notes
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "law",
     [

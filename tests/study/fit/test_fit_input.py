@@ -214,6 +214,7 @@ def test_tests_that_a_law_has_no_answer_to():
         fit(solid, {"uniaxal": CURVE})
 
 
+@pytest.mark.long
 def test_the_command(tmp_path):
     """Its table is a material of a case file, and the same on two ranks."""
     (tmp_path / "law.toml").write_text(LAW)
@@ -250,6 +251,7 @@ def test_an_earlier_fit_stays(tmp_path):
     assert (tmp_path / "law_fitted/rubber.toml").read_text() == "mine"
 
 
+@pytest.mark.long
 def test_codes_of_the_command(tmp_path):
     """2 for what is wrong, with one message; 3 and the best so far where the search has no end."""
     (tmp_path / "law.toml").write_text(LAW)
@@ -310,6 +312,7 @@ def test_what_the_law_cannot_give(law, name):
     assert any(line.startswith(note) for line in found.notes)
 
 
+@pytest.mark.long
 def test_a_search_that_comes_to_constants_without_stress():
     """Free sides have no state there: an error of the search, none of the program."""
     law = {"law": "yeoh", "c10": "fit", "c20": "fit", "c30": "fit", "nu": 0.45}
@@ -327,6 +330,7 @@ def test_a_relaxation_that_grows():
     assert found.curves[0].stress == pytest.approx(np.full(5, 3e5), rel=1e-6)
 
 
+@pytest.mark.long
 def test_what_to_doubt_of_an_answer(tmp_path):
     """Stresses without a unit, a modulus of a few Pa, and a law that is far from the test."""
     file = tmp_path / "a.csv"

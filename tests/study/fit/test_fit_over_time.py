@@ -43,6 +43,7 @@ def test_relaxation_of_an_incompressible_law():
     assert stress == pytest.approx(slow * (1 + r * np.exp(-T / tau)), rel=1e-9)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("keys", [{"nu": 0.4}, {"nu": 0.3, "viscous_on": "whole"}])
 def test_relaxation_of_compressible_bars(keys):
     """As step by step at a material point: sides move while the shape relaxes."""

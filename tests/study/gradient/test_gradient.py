@@ -190,6 +190,7 @@ def numbers(kind: Kind, key: str, factor: float) -> np.ndarray:
     return np.array(found[-1])
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", KINDS)
 def test_constants(name: str) -> None:
     """Central differences of fourth order of solutions, whose errors are 1e-9 of the numbers.
@@ -239,6 +240,7 @@ KEYS = {
 }
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("key", KEYS)
 def test_other_keys_of_a_case(key: str) -> None:
     """The problem is made anew with them; supports move what they prescribe."""
@@ -289,6 +291,7 @@ BESIDE: dict[str, tuple[list[Any], float, str]] = {
 }
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", BESIDE)
 def test_unknowns_that_prescribe_or_are_prescribed(name: str) -> None:
     """Motions of rigid surfaces, and pressures that are known up to a constant.
@@ -322,6 +325,7 @@ def test_unknowns_that_prescribe_or_are_prescribed(name: str) -> None:
     np.testing.assert_allclose(told, slopes, rtol=1e-5, atol=1e-8 * np.abs(here).max())
 
 
+@pytest.mark.long
 def test_numbers_that_depend_on_loads() -> None:
     """Growth is part of the elastic strain: energy and stress change with it at rest, too."""
     tables = {
@@ -344,6 +348,7 @@ SHAPES = {
 }
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", SHAPES)
 def test_shape(name: str) -> None:
     """A surface moves along its normal: nodes are moved by hand, and the problem is solved anew."""
@@ -411,6 +416,7 @@ def test_cells() -> None:
 # --- frequencies ---
 
 
+@pytest.mark.long
 def test_frequencies() -> None:
     """A bar whose first frequencies differ: constants, a cell's modulus and the shape."""
     tables = {
@@ -579,6 +585,7 @@ def test_numbers_that_are_zero() -> None:
     assert "where a norm has no derivative" in message
 
 
+@pytest.mark.long
 def test_two_materials() -> None:
     """Each has cells of its own."""
     problem = Problem(

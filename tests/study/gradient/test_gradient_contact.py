@@ -110,6 +110,7 @@ ROLLER = {"on": "top", "cylinder": {"axis": "z", "point": [1.1, 1.5], "radius": 
 PUSHED = {**ROLLER, "force": "40 kN", "direction": [0, -1]}
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("degree", [1, 2])
 def test_an_obstacle_that_moves_more_than_the_body(degree: int) -> None:
     """Where it starts counts for nothing, for a force moves it: all of its way is a scalar."""
@@ -120,6 +121,7 @@ def test_an_obstacle_that_moves_more_than_the_body(degree: int) -> None:
     compare(case, ("mean displacement_y on top", "strain_energy"), (start, radius), step=1e-5)
 
 
+@pytest.mark.long
 def test_vertices_about_to_open() -> None:
     """They stay in contact in differences, too: here one would open within their steps."""
     gel = {**GEL, "nu": 0.5}
@@ -131,6 +133,7 @@ def test_vertices_about_to_open() -> None:
     compare(case, of, ("contact[0].cylinder.radius",), step=1e-6)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("degree", [1, 2])
 def test_reactions_where_supports_hold_what_presses(degree: int) -> None:
     """They have part of the pressures, which depend on materials, too."""
@@ -180,6 +183,7 @@ BODIES: dict[str, tuple[dict[str, Any], tuple[str, ...]]] = {
 }
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "name", ["pressed", *(pytest.param(one, marks=pytest.mark.long) for one in list(BODIES)[1:])]
 )

@@ -61,6 +61,7 @@ def values(name: str, factor: float) -> np.ndarray:
     return np.array(found[-1])
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", KINDS)
 def test_gradients_are_differences_of_solutions(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """To 1e-8 of the numbers.  Differences of fourth order lose 1e-12 / STEP, and STEP^4.

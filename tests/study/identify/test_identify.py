@@ -116,6 +116,7 @@ def test_what_has_no_such_derivatives_has_differences() -> None:
         assert np.abs(slopes).max() > 0
 
 
+@pytest.mark.long
 def test_a_homogeneous_case_gives_what_the_fit_of_the_law_gives() -> None:
     """Also the same interval from curves with scatter: both are the least squares of one curve."""
     square = {"kind": "symmetry"}
@@ -144,6 +145,7 @@ def test_a_homogeneous_case_gives_what_the_fit_of_the_law_gives() -> None:
     assert 1e6 * found[MU].half == pytest.approx(law["mu"].half, rel=1e-4)
 
 
+@pytest.mark.long
 def test_intervals_hold_the_truth() -> None:
     """Of 95 %: in 12 draws at least 10 (binomial: 1 % of such tests would have fewer)."""
     points = np.random.default_rng(1).uniform([0.2, 0.0], [2.0, 1.0], (30, 2))
@@ -186,6 +188,7 @@ def test_two_constants_that_one_curve_cannot_tell() -> None:
     assert found[E].value == pytest.approx(1.0)
 
 
+@pytest.mark.long
 def test_all_runs_have_one_formulation(monkeypatch: pytest.MonkeyPatch) -> None:
     """Beyond nu = 0.45 no pressure joins in; the fit says so, and once more it begins with one."""
     nu, mixed, make = "materials.steel.nu", list[bool](), Case.make_problem

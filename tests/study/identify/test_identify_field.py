@@ -101,6 +101,7 @@ def test_a_known_field_comes_back() -> None:
     assert found.penalty[1] == pytest.approx(np.log(3), rel=0.05)  # one edge of one metre
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("penalty", ["tv", "tikhonov"])
 def test_the_weight_follows_from_the_scatter(penalty: str) -> None:
     """The differences are as large as it, and the field is not far off."""
@@ -117,6 +118,7 @@ def test_the_weight_follows_from_the_scatter(penalty: str) -> None:
     assert mean < (0.15 if penalty == "tv" else 0.35)
 
 
+@pytest.mark.long
 def test_only_the_cells_of_its_material_change() -> None:
     """And with a bound none is beyond it."""
     two = {
@@ -138,6 +140,7 @@ def test_only_the_cells_of_its_material_change() -> None:
     assert np.array_equal(np.isnan(found.seen[0]), ~above)
 
 
+@pytest.mark.long
 def test_fields_without_a_solution_are_left(monkeypatch: pytest.MonkeyPatch) -> None:
     """The line search goes back, and the best field is kept; other errors come through."""
     field = displaced(block("where(y < 0.5, 1000, 1500)"))

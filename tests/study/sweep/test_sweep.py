@@ -354,6 +354,7 @@ def test_a_formulation_that_varies_is_no_surprise(folder: Path) -> None:
     assert not any("formulation" in text for text in found.remarks())
 
 
+@pytest.mark.long
 def test_all_rows_fail(folder: Path) -> None:
     """Rubber that is pressed beyond any strain: code 3 and the first cause; nothing is lost."""
     rubber = {"rubber": {"law": "neo-hookean", "E": "1 MPa", "nu": 0.3}}
@@ -443,6 +444,7 @@ def test_a_linear_result_has_the_deviation_of_its_settings() -> None:
     assert of.mesh == pytest.approx(0.7, rel=1e-3)
 
 
+@pytest.mark.long
 def test_indices_of_ishigami() -> None:
     """T. Ishigami & T. Homma (1990): 0.3139, 0.4424, 0 alone; 0.5576, 0.4424, 0.2437 in total.
 

@@ -20,6 +20,7 @@ LONG = [pytest.param(one, marks=pytest.mark.long) if one.full else one for one i
 LAME = next(one for one in SUITE if one.name == "lame")
 
 
+@pytest.mark.long
 @pytest.mark.sample(2)
 @pytest.mark.parametrize("one", LONG, ids=lambda one: one.name)
 def test_result(one: Verification, comm: MPI.Comm) -> None:

@@ -68,6 +68,7 @@ def test_a_homogeneous_cell_relaxes_as_a_point(degree: int) -> None:
         assert abs(state.numbers["P12"]) < 1e-12
 
 
+@pytest.mark.long
 def test_large_strains_of_a_cell_are_those_of_a_body() -> None:
     """The mean stress is the stress of a point, and what is free across creeps."""
     periodic = Periodic(
@@ -179,6 +180,7 @@ def test_a_cell_yields() -> None:
 # --- restarts ---
 
 
+@pytest.mark.long
 def test_a_restart_is_exact() -> None:
     def run() -> Statics:
         laws = {"soft": NeoHookeanSplit(**SOFT), "stiff": NeoHookeanSplit(mu=STIFF, nu=0.3)}

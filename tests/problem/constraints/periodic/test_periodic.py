@@ -91,7 +91,6 @@ def cored(body: Body, low: float = 0.0, **fields: Any) -> Problem:
 # --- a homogeneous cell: P is that of the law, whatever the mesh ---
 
 
-@pytest.mark.sample(1)
 @pytest.mark.parametrize("degree", [1, 2])
 @pytest.mark.parametrize("dim", [2, 3])
 def test_homogeneous(dim, degree):
@@ -237,7 +236,6 @@ def test_work_through_large_strains(side):
 # --- free strains ---
 
 
-@pytest.mark.sample(1)
 @pytest.mark.parametrize("degree", [1, 2])
 def test_uniaxial(degree):
     """Neo-Hookean, E = 1e6, nu = 0.3, pulled by half, free across: the reference of the bench."""

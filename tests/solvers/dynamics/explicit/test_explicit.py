@@ -79,7 +79,6 @@ def test_every_step_is_the_discrete_solution_of_central_differences(share):
     np.testing.assert_allclose(energy / energy[0], 1 - below, rtol=0, atol=1e-10)
 
 
-@pytest.mark.sample(1)
 @pytest.mark.parametrize(("scheme", "order"), [(SCHEME, 1), (CENTRAL, 2)])
 def test_order_in_time(scheme, order):
     """Of place and velocity; Euler's velocity is better, as here it starts at rest."""
@@ -92,7 +91,6 @@ def test_order_in_time(scheme, order):
 
 
 @BOTH
-@pytest.mark.sample(1)
 def test_energy_stays_in_a_band(scheme):
     """1000 steps: the energy swings by O(omega dt), and the band is the same at the end."""
     dt = 0.2 / OMEGA

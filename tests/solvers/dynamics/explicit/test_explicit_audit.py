@@ -61,6 +61,7 @@ def moving(law: Any, body: Body | None = None) -> Problem:
     )
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("scheme", SCHEMES)
 def test_all_that_acts_balances(scheme: str) -> None:
     """Loads, a moving support, springs, dashpots, an obstacle, inertia; with all dampings, too."""

@@ -323,6 +323,7 @@ def test_keys_of_other_schemes_are_refused(keys: Any, message: str) -> None:
         Dynamics(oscillator(), end=1.0, **keys)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("every", [1, 4])
 def test_a_continued_run_is_the_same(every: int) -> None:
     """With all dampings, added mass, and a material that remembers beside one that does not."""

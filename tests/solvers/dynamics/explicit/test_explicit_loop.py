@@ -109,6 +109,7 @@ def loaded(body: Body | None = None, **more: Any) -> Problem:
     )
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("many", [cell_integrals.MANY_CELLS, 0], ids=["few", "many"])
 @pytest.mark.parametrize("modulus", [E, "1e5*(1 + x)"])
 def test_forces_are_those_of_statics(modulus, many, monkeypatch):
@@ -274,7 +275,6 @@ def own(field: fem.Function) -> int:
     return int(field.function_space.dofmap.index_map.size_local)
 
 
-@pytest.mark.sample(1)
 @pytest.mark.parametrize(
     ("kind", "scheme"),
     [
@@ -308,7 +308,6 @@ def test_a_continued_run_is_the_same(kind, scheme):
 
 
 @BOTH
-@pytest.mark.sample(1)
 def test_states_between_change_nothing(scheme, monkeypatch):
     """In a run that can be stopped: the motion is bit by bit the same, and goes on from them."""
     settings = {"scheme": scheme, "end": 0.08, "every": "0.03 s", "dt": 4e-4}

@@ -89,6 +89,7 @@ def test_a_bar_bounces_off_a_wall(scheme):
     assert abs(off[-1]) < 3e-3
 
 
+@pytest.mark.long
 def test_stiff_walls_ask_for_shorter_steps(caplog):
     """With the step of stability alone the energy would grow threefold: a node hits in mid-step."""
     stiff = 10 * E / HIGH
@@ -146,7 +147,7 @@ def test_a_block_bounces_off_any_obstacle(shape, scheme):
     assert np.ptp(off) < (0.06 if scheme == "symplectic-euler" else 0.04) * off[0]
 
 
-@pytest.mark.sample(1)
+@pytest.mark.long
 @pytest.mark.parametrize("scheme", ["generalized-alpha", "newmark", "alpha2"])
 def test_obstacles_do_work_only_where_they_move(scheme):
     """Dropped on a floor, gravity alone does work; beaten from below, the floor does, too."""

@@ -80,6 +80,7 @@ def drifts(states: list[State]) -> tuple[float, float, float]:
 # --- a free body ---
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("law", "keys", "limit"),
     [
@@ -126,6 +127,7 @@ def test_ten_thousand_steps(comm: MPI.Comm, law: Law, steps: int, limit: float) 
     assert max(drifts(motion(block(comm, law), steps, every=steps // 20))) < limit
 
 
+@pytest.mark.long
 def test_turn_of_half_a_radian_a_step(comm: MPI.Comm) -> None:
     """Steps may be long; they are not accurate then, but nothing comes from nowhere."""
     states = motion(block(comm, SVK), 40, dt=8e-3, end=0.32)
@@ -228,6 +230,7 @@ def test_a_support_that_moves(comm: MPI.Comm, how: str, law: str) -> None:
     assert max(abs(state.energies["balance"]) for state in states) < 1e-9 * sizes
 
 
+@pytest.mark.long
 def test_damping_takes_what_it_dissipates(comm: MPI.Comm) -> None:
     """The balance holds with what damping has taken."""
     viscous = NeoHookean(E=1e6, nu=0.3, density=1000.0, viscosity=20.0)

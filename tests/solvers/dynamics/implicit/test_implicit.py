@@ -193,7 +193,6 @@ def test_reactions_are_those_of_the_end_of_the_step():
 # --- damping ---
 
 
-@pytest.mark.sample(1)
 @pytest.mark.parametrize("how", [{"viscosity": 200.0}, {"rayleigh": [0, 5e-3]}])
 def test_damping_inside_a_body_does_not_feel_a_rotation(how):
     """A soft brick thrown with a spin keeps both its momenta; it loses what vibrates only."""
@@ -414,6 +413,7 @@ def test_between_the_ends_of_a_step_there_is_a_cubic():
 # --- audit ---
 
 
+@pytest.mark.long
 def test_the_audit_balances_forces_with_inertia(monkeypatch):
     """A shaken column with springs, dashpots and weight: all sums up, and a false load is seen."""
 
@@ -655,6 +655,7 @@ def test_there_is_nothing_to_keep_before_a_motion_and_after_it():
 # --- inverted cells ---
 
 
+@pytest.mark.long
 def test_a_law_that_survives_inversion_goes_on(comm):
     """A jelly hits a plane at 6 m/s, twice its speed of sound: cells are inverted, and counted."""
     problem = Problem(
@@ -671,6 +672,7 @@ def test_a_law_that_survives_inversion_goes_on(comm):
     assert any("elements inverted, smallest det F" in r for r in states[-1].audit.so_far)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("law", [FixedCorotated, StVenantKirchhoff])
 def test_a_start_with_half_of_the_cells_inverted(law, comm):
     """One law turns them back; one that takes them for undeformed refuses to begin."""

@@ -61,7 +61,6 @@ def spun(dt: float, radius: float) -> tuple[np.ndarray, float]:
     return np.array(rows), gained
 
 
-@pytest.mark.sample(1)
 @pytest.mark.parametrize("radius", [1.0, 0.9])
 def test_the_pressure_of_a_turning_body(radius):
     """Of second order against steps that are an eighth: 3 % and 0.7 % of the largest found.
@@ -228,7 +227,6 @@ SCHEMES = [
 
 
 @pytest.mark.long
-@pytest.mark.sample(1)
 @pytest.mark.parametrize("scheme", SCHEMES)
 def test_a_ring_that_breathes(folder, scheme):
     """The trapezoidal rule made 2.6 s of it 4.8 % richer, and the run die; then without bound.
@@ -251,7 +249,7 @@ def test_a_ring_that_breathes(folder, scheme):
     assert np.abs(a[2:] - 2 * a[1:-1] + a[:-2]).max() < 0.5
 
 
-@pytest.mark.sample(1)
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("nu", "scheme"),
     [
