@@ -128,8 +128,8 @@ def differentiable(problem: Problem, keys: Sequence[str]) -> bool:
         any(key not in known or known[key].ufl_shape for key in keys)
         or without_gradient(problem)
         or problem.contact_pairs
+        or problem.terms.bars
         or not problem.symmetric
-        or problem.unknowns.scale
     )
 
 

@@ -77,10 +77,25 @@ def test_constants_come_back_from_a_curve_and_a_field() -> None:
     assert again[MU].value == pytest.approx(0.4, rel=EXACT)
 
 
-@pytest.mark.parametrize("name", ["reaction_x of right", "-2*reaction_right_x", "mid_x", "mid_y"])
-def test_derivatives_without_differences_are_those_of_differences(name: str) -> None:
+MIXED = {"mesh": {"rectangle": {"size": [2, 1], "cells": [4, 2]}, "formulation": "mixed"}}
+
+
+@pytest.mark.parametrize(
+    ("name", "more"),
+    [
+        ("reaction_x of right", {}),
+        ("-2*reaction_right_x", {}),
+        ("mid_x", {}),
+        ("mid_y", {}),
+        ("reaction_x of right", MIXED),
+    ],
+)
+@pytest.mark.sample(2)
+def test_derivatives_without_differences_are_those_of_differences(
+    name: str, more: dict[str, Any]
+) -> None:
     """Of curves over t and over a number that changes with the constants, and of fields."""
-    case = plate(output={"probes": {"mid": [0.6, 0.3]}})
+    case = plate(output={"probes": {"mid": [0.6, 0.3]}}, **more)
     over = [("t", 0.9), *([("-1*reaction_left_x", 1e5)] if name == "mid_y" else [])]
     half = replace(FIELD, times=np.full(9, 0.5), components=(1,), values=np.ones((9, 1)))
     curves = [
