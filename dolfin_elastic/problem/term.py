@@ -427,6 +427,14 @@ class ScalarUnknowns:
         """
         raise NotImplementedError
 
+    def shifts(self, pose: Pose) -> FloatArray:
+        """Motion of an obstacle by each of them, shape (size, dim) [m]; none by others.
+
+        Args:
+            pose: Of the obstacle.
+        """
+        return np.zeros((self.size, len(pose.shift.value)))
+
     def residual(self, forces: OutOfBalance) -> FloatArray:
         """g at the present state, for which the residual is assembled. Collective."""
         raise NotImplementedError

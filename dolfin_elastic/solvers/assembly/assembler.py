@@ -389,7 +389,10 @@ class Residual:
         moved.x.array[:] = 0.0
         moved.x.array[entries] = motion
         moved.x.scatter_forward()
-        return assembled(form, problem.W)
+        result = assembled(form, problem.W)
+        if self._tangent is not None and self._tangent.blocks is not None:
+            result += self._tangent.blocks.times(moved.x.array[: len(result)], transposed=True)
+        return result
 
     def assemble(self) -> None:
         """Assembles `vector` at the problem's unknowns."""

@@ -93,16 +93,17 @@ class NodeBlocks:
         """What `free` has given last; None where it was never asked."""
         return None if self._free is None else self._free[0]
 
-    def times(self, direction: FloatArray) -> FloatArray:
+    def times(self, direction: FloatArray, *, transposed: bool = False) -> FloatArray:
         """Product with the blocks at the present unknowns, as if nothing were prescribed.
 
         Args:
             direction: Owned entries of all unknowns [m].
+            transposed: With the transposed ones.
         """
         B = self.assembled()
         x, y = B.createVecs()
         x.array_w[:] = direction
-        B.mult(x, y)
+        (B.multTranspose if transposed else B.mult)(x, y)
         result = np.array(y.array_r)
         x.destroy()
         y.destroy()

@@ -5,12 +5,19 @@ At an equilibrium R(w; m) = 0, with the number Q(w; m), the derivative by a para
     dQ/dm = dQ/dm at fixed w + a . dR/dm at fixed w,    K^T a = -dQ/dw,
 
 with K = dR/dw: one solve for each number, whatever the parameters.  Scalar unknowns s beside the
-fields, with equations g(w, s; m) = 0, border the system as in `Bordered`.
+fields, with equations of their own, border the system as in `Bordered`.
+
+Pressures of contact are unknowns, too, with the gaps g = 0 as equations: with their multipliers b
+the adjoint's are K^T a + g_w^T b = -dQ/dw, with the scalars' alike, and no gap opens along a.
+The tangent has the penalty eps, for which Uzawa's iteration b <- b + eps A (rates of the gaps
+along a) finds them in a few such solves, see `KeptGaps`.
 Source: D. A. Tortorelli and P. Michaleris, Inverse Problems in Engineering 1 (1994) 71.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -22,6 +29,8 @@ from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.parallel import total
 from dolfin_elastic.core.timing import stage
 from dolfin_elastic.core.types import FloatArray
+from dolfin_elastic.solvers.nonlinear.kept_gaps import KeptGaps
+from dolfin_elastic.solvers.nonlinear.mixing import Mixing
 from dolfin_elastic.solvers.petsc.options import ksp_reason
 
 if TYPE_CHECKING:
@@ -38,8 +47,12 @@ some of the digits, and factors give more for little.
 _ITERATIONS, _RESTART = 2000, 60
 _KNOWN = 8
 """Solutions with which the next one begins."""
+_ROUGH = 1e-3
+"""Tolerance of systems within Uzawa's iteration, over how far this is off.
+
+Source: H. C. Elman & G. H. Golub, SIAM J. Numer. Anal. 31 (1994) 1645 (inexact Uzawa)."""
 _UZAWA = 100
-"""Of Uzawa's iterations, each of which gains a digit or so."""
+"""Of Uzawa's iterations, each of which gains more than a digit."""
 
 
 @dataclass(frozen=True)
@@ -49,22 +62,26 @@ class AdjointState:
     Attributes:
         fields: Of the nodal equations, owned entries of all unknowns; none where prescribed.
         scalars: Of those of scalar unknowns.
+        pressures: By which pressures of contact count that a parameter changes at fixed unknowns,
+            of all owned vertices as in `pressures_of`; a unit of the number per Pa.
         iterations: Of the linear solver.
     """
 
     fields: FloatArray
     scalars: FloatArray
+    pressures: FloatArray
     iterations: int
 
 
 class Adjoint:
-    """Solves with the transposed tangent of the present equilibrium. Collective; `destroy` it.
+    """Solves with the transposed tangent of the present equilibrium. Collective; `close` it.
 
     The tangent is assembled where the solve has ended; the factors or the preconditioner of
     Newton's method, of a state one small step before, serve for it.
 
     Args:
-        newton: After a solve that has converged.
+        newton: After a solve that has converged; contacts keep what presses, see
+            `Pressures.keep`.
     """
 
     def __init__(self, newton: Newton) -> None:
@@ -80,14 +97,16 @@ class Adjoint:
         self._ksp = PETSc.KSP().create(self._assembler.comm)
         self._ksp.setPC(newton.ksp.getPC())
         self._ksp.setOperators(self._matrix, self._assembler.tangent.matrix)
-        digits = WITH_FACTORS if newton.linear.direct else DIGITS
-        self._ksp.setTolerances(rtol=digits, atol=0.0, max_it=_ITERATIONS)
+        self._digits = WITH_FACTORS if newton.linear.direct else DIGITS
+        self._ksp.setTolerances(rtol=self._digits, atol=0.0, max_it=_ITERATIONS)
         if newton.ksp.getType() == "cg":
             self._ksp.setType("cg")
             self._ksp.setNormType(PETSc.KSP.NormType.NATURAL)
         else:
             self._take_gmres()
-        self._rows: list[FloatArray] | None = None
+        some = bool(self._assembler.problem.contact_pairs)
+        self._gaps = KeptGaps(self._assembler, newton.bordered) if some else None
+        self._rows: FloatArray | None = None
         self._iterations, self._known = 0, list[tuple[FloatArray, FloatArray]]()
 
     def _take_gmres(self) -> None:
@@ -112,77 +131,69 @@ class Adjoint:
         Raises:
             InputError: The linear solver has not converged.
         """
-        self._iterations, level = 0, self._assembler.level
-        if level is not None:  # a change of the mean of an enclosed pressure is taken out again
-            derivative = level.balanced(
-                derivative, [one for one in level.bodies if not one.coupled]
-            )
-        fields, bordered = self._inverse(-derivative, motion), self._newton.bordered
-        scalars: FloatArray = np.zeros(0)
-        if bordered is not None:
-            comm = self._assembler.comm
-            columns, rows = np.array(bordered.columns), np.array(bordered.rows)
-            if self._rows is None:
-                self._rows = [self._inverse(row) for row in rows]
-            inverses = np.array(self._rows)
-            # What scalars prescribe moves with them, and with it the scalars' equations.
-            moved = np.array([self._prescribed(row) for row in rows])
-            schur = bordered.corner.T - total(comm, columns @ (inverses + moved).T)
-            right = -of_scalars - total(comm, columns @ (fields - self._prescribed(derivative)))
-            scalars = np.asarray(np.linalg.solve(schur, right))
-            fields = np.asarray(fields - scalars @ inverses)
-        if level is not None:  # the equations of enclosed pressures hold but for their mean
-            fields = level.without_mean(fields, level.bodies)
-        return AdjointState(fields, scalars, self._iterations)
-
-    def _prescribed(self, row: FloatArray) -> FloatArray:
-        """K^-T times what a vector has at prescribed entries, whose equations are x - g = 0."""
-        dofs = self._assembler
-        result = dofs.constrained_part(row)
-        if dofs.skewed:
-            result[dofs.skew_dofs] /= dofs.tangent.scale()
-        return result
-
-    def _inverse(self, right: FloatArray, motion: FloatArray | None = None) -> FloatArray:
-        """K^-T times what a vector has at free entries, along which contact holds. Collective.
-
-        Newton's K has the penalty of contact, K_c = eps G^T G with the rows G of the gaps.  But
-        pressures are multipliers, which keep G x = 0: Uzawa's iteration K x_k = b - sum K_c x_j,
-        j < k, finds that solution.  Where supports hold vertices that press, their reactions have
-        part of the pressures: of the motion m of a number that is K^T m, G (x + m) = 0.
-        """
-        x = self._plain_inverse(right)
-        if not self._assembler.problem.contact_pairs:
-            return x
-        largest_size = float(total(self._assembler.comm, np.sum(x**2)))
+        self._iterations, gaps = 0, self._gaps
+        if gaps is None:
+            fields, scalars = self._bordered(derivative, of_scalars)
+            return AdjointState(fields, scalars, np.zeros(0), self._iterations)
+        mixing, multipliers = Mixing(self._assembler.comm), np.zeros_like(gaps.eps)
+        before, off, rtol = np.zeros_like(derivative), 1.0, 1.0
         for _ in range(_UZAWA):
-            right = right - self._penalised(x, motion)
-            before, x = x, self._plain_inverse(right)
-            change, size = total(
-                self._assembler.comm, np.array([np.sum((x - before) ** 2), np.sum(x**2)])
-            )
-            largest_size = max(largest_size, size)
-            if change <= DIGITS**2 * largest_size:  # also where nothing can move at last
-                return x
+            by_fields, by_scalars = gaps.loads(multipliers)
+            rtol = max(self._digits, _ROUGH * min(off, rtol))
+            with self._solving(rtol):
+                fields, scalars = self._bordered(derivative + by_fields, of_scalars + by_scalars)
+            rates, sizes = (gaps.stiffness * one for one in gaps.rates(fields, scalars, motion))
+            squares = [np.sum(x**2) for x in (rates, sizes, multipliers, fields - before, fields)]
+            left, *known, moved, size = total(self._assembler.comm, np.array(squares)) ** 0.5
+            least = DIGITS * max(known)
+            # Rates of vertices that supports hold do not change, nor anything else at last.
+            if rtol == self._digits and (left <= least or moved <= DIGITS * size):
+                pressures = np.where(np.abs(rates) <= least, -multipliers / gaps.eps, 0.0)
+                return AdjointState(fields, scalars, pressures, self._iterations)
+            before, off = fields, left / max(*known, np.finfo(float).tiny)
+            multipliers = mixing.next(multipliers, rates)
         raise InputError(
             f"the adjoint was not found: contact has not settled in {_UZAWA} iterations",
             expected="`sweep`, or a stiffer contact",
         )
 
-    def _penalised(self, x: FloatArray, motion: FloatArray | None) -> FloatArray:
-        """K_c (x + m), see `Pressures.penalised`. Collective."""
-        problem, way = self._assembler.problem, self._assembler.ghosted_vector()
-        way.array[: len(x)] = x
-        self._assembler.extend(way.array)
-        if motion is not None:
-            way.array[: len(x)] += motion
-        way.scatter_forward()
-        entries = problem.unknowns.mixed_dofs(np.arange(len(problem.u.x.array), dtype=np.int32))
-        moved = way.array[entries]
-        return np.asarray(sum(pair.penalised(moved) for pair in problem.contact_pairs))
+    @contextmanager
+    def _solving(self, rtol: float) -> Iterator[None]:
+        """Inside, systems are solved to this tolerance."""
+        self._ksp.setTolerances(rtol=rtol)
+        yield
+        self._ksp.setTolerances(rtol=self._digits)
 
-    def _plain_inverse(self, right: FloatArray) -> FloatArray:
-        """The same without contact. Collective."""
+    def _bordered(
+        self, derivative: FloatArray, of_scalars: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Multipliers of nodal equations and of scalars, with the pressures as they are.
+
+        Collective.
+        """
+        level, bordered, dofs = self._assembler.level, self._newton.bordered, self._assembler
+        if level is not None:  # a change of the mean of an enclosed pressure is taken out again
+            derivative = level.balanced(
+                derivative, [one for one in level.bodies if not one.coupled]
+            )
+        fields, scalars = self._inverse(-derivative), np.zeros(0)
+        if bordered is not None:
+            comm, columns, rows = dofs.comm, np.array(bordered.columns), bordered.rows
+            if self._rows is None:
+                with self._solving(self._digits):
+                    self._rows = np.array([self._inverse(row) for row in rows])
+            # What scalars prescribe moves with them, and with it the scalars' equations.
+            moved = np.array([bordered.prescribed_part(row) for row in rows])
+            schur = bordered.corner.T - total(comm, columns @ (self._rows + moved).T)
+            whole = fields - bordered.prescribed_part(derivative)
+            scalars = np.linalg.solve(schur, -of_scalars - total(comm, columns @ whole))
+            fields = fields - scalars @ self._rows
+        if level is not None:  # the equations of enclosed pressures hold but for their mean
+            fields = level.without_mean(fields, level.bodies)
+        return np.asarray(fields), np.asarray(scalars)
+
+    def _inverse(self, right: FloatArray) -> FloatArray:
+        """K^-T times what a vector has at free entries. Collective."""
         self._x.array_w[:] = self._assembler.collect(right)
         self._assembler.remove_constrained(self._x)
         self._solve()
@@ -206,7 +217,7 @@ class Adjoint:
     def _keep(self) -> None:
         """Keeps a solution for the next ones, where these take iterations. Collective."""
         size = self._x.norm()
-        iterated = not (self._newton.linear.direct or self._assembler.problem.contact_pairs)
+        iterated = not self._newton.linear.direct or self._gaps is not None
         if size > 0.0 and iterated:
             last = self._x.array_r / size, self._y.array_r / size
             self._known = [*self._known[1 - _KNOWN :], last]
@@ -243,7 +254,7 @@ class Adjoint:
         self._assembler.extend(result)
         return result
 
-    def destroy(self) -> None:
+    def close(self) -> None:
         """Frees what it owns. Collective."""
         self._ksp.destroy()
         self._x.destroy()

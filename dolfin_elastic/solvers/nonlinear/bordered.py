@@ -21,6 +21,7 @@ from petsc4py import PETSc
 
 from dolfin_elastic.core.parallel import total
 from dolfin_elastic.core.types import FloatArray
+from dolfin_elastic.problem.pose import Pose
 from dolfin_elastic.problem.term import OutOfBalance, ScalarUnknowns
 from dolfin_elastic.solvers.assembly.assembler import Assembler
 
@@ -50,6 +51,10 @@ class JoinedScalars(ScalarUnknowns):
     def get(self) -> FloatArray:
         """All scalars."""
         return np.concatenate([part.get() for part in self._parts])
+
+    def shifts(self, pose: Pose) -> FloatArray:
+        """Those by all scalars."""
+        return np.concatenate([part.shifts(pose) for part in self._parts])
 
     def put(self, values: FloatArray) -> None:
         """Changes all scalars. Not collective."""
@@ -261,6 +266,14 @@ class Bordered:
             fields += s * column
         below = self.products(x.array_r[: self._size]) + self.corner @ scalars
         self.fill(y, fields, below)
+
+    def prescribed_part(self, row: FloatArray) -> FloatArray:
+        """K^-T times what a vector has at prescribed entries, whose equations are x - g = 0."""
+        dofs = self.assembler
+        result = dofs.constrained_part(row)
+        if dofs.skewed:
+            result[dofs.skew_dofs] /= dofs.tangent.scale()
+        return result
 
     def products(self, fields: FloatArray) -> FloatArray:
         """C times owned entries of the fields. Collective."""

@@ -121,7 +121,7 @@ class Prebuckling:
 
     def close(self) -> None:
         """Frees what it owns. Collective."""
-        self.adjoint.destroy()
+        self.adjoint.close()
         self._newton.destroy()
         self.assembler.destroy()
 

@@ -1,8 +1,8 @@
 """`Direct`: derivatives by the motion of an equilibrium, which takes one search a parameter.
 
 The tangent of contact between surfaces of the mesh leaves out how the cut of their faces changes,
-so that its transpose gives no adjoint; and a number of a case may move what it touches.  There the
-motion v = dw/dm of the unknowns and the rates of the pressures p are found from
+so that its transpose gives no adjoint.  There the motion v = dw/dm of the unknowns and the rates of
+the pressures p are found from
 
     J v + dR/dp dp/dm = -dR/dm,    dp/dm = d(p - eps g)/dm,
 
@@ -14,26 +14,26 @@ Source: as of `solvers.nonlinear.adjoint` (direct differentiation); Uzawa as in 
 from __future__ import annotations
 
 import numpy as np
-from mpi4py import MPI
 
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.parallel import largest, total
 from dolfin_elastic.core.types import FloatArray
+from dolfin_elastic.solvers.nonlinear.mixing import Mixing
 from dolfin_elastic.study.gradient.parameters import Equilibrium, Sides, move_prescribed
 
 NEAR = 1e-5
 """Of a cell's size, by which the unknowns are moved for a difference; scalars by their `steps`."""
 SETTLED = 1e-8
 """Change of the motion over the motion."""
-_STEPS, _DEPTH = 100, 20
-"""With the tangent, each of which gains a digit or so; and how many of them are combined."""
+_STEPS = 100
+"""With the tangent, each of which gains a digit or so."""
 
 
 class Direct:
     """Finds motions of one equilibrium. Collective.
 
     Args:
-        here: Whose solver has assembled the tangent there.
+        here: Whose solver has assembled the tangent there, with what it keeps in contact.
     """
 
     def __init__(self, here: Equilibrium) -> None:
@@ -110,51 +110,15 @@ class Direct:
         unknowns[: len(motion)] += motion
         unknowns[len(unknowns) - len(scalars) :] += scalars
         self._newton.put_back(unknowns)
-        for pair, values, pressing in zip(
-            self._pairs, self._pressures, self._here.pressing, strict=True
-        ):
+        for pair, values in zip(self._pairs, self._pressures, strict=True):
             pair.lam.x.array[pair.nodes] = values + pressures[start : start + len(values)]
             pair.lam.x.scatter_forward()
-            pair.keep(pressing)
             start += len(values)
         move_prescribed(self._newton.assembler)
 
     def _restore(self) -> None:
         """To the last bit, for a run that goes on. Collective."""
         for pair, values in zip(self._pairs, self._pressures, strict=True):
-            pair.keep(None)
             pair.lam.x.array[pair.nodes] = values
             pair.lam.x.scatter_forward()
         self._newton.put_back(self._start)
-
-
-class Mixing:
-    """Anderson's acceleration of x <- x + f(x): f of a combination of the last x is smallest.
-
-    Source: H. F. Walker & P. Ni, SIAM J. Numer. Anal. 49 (2011) 1715; of a linear f it is GMRES.
-
-    Args:
-        comm: Each rank has its part of x.
-    """
-
-    def __init__(self, comm: MPI.Comm) -> None:
-        self._comm = comm
-        self._last: list[tuple[FloatArray, FloatArray]] = []
-
-    def next(self, x: FloatArray, f: FloatArray) -> FloatArray:
-        """The next x. Collective.
-
-        Args:
-            x: The present one, this rank's part of it.
-            f: At x: what the plain iteration would add.
-        """
-        self._last.append((x, f))
-        del self._last[: -1 - _DEPTH]
-        result: FloatArray = x + f
-        if len(self._last) > 1:
-            dx, df = (np.diff([one[i] for one in self._last], axis=0) for i in (0, 1))
-            gram, right = total(self._comm, df @ df.T), total(self._comm, df @ f)
-            scale = 1 / np.sqrt(np.maximum(np.diag(gram), np.finfo(float).tiny))
-            shares = np.linalg.lstsq(scale[:, None] * gram * scale, scale * right, rcond=1e-13)[0]
-            result = result - (scale * shares) @ (dx + df)
-        return result

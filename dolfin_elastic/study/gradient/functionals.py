@@ -24,7 +24,7 @@ from ufl.core.expr import Expr
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.ghosts import assembled, summed
 from dolfin_elastic.core.parallel import total
-from dolfin_elastic.core.types import FloatArray, IndexArray, IntArray
+from dolfin_elastic.core.types import FloatArray, IndexArray
 from dolfin_elastic.mesh.geometry.curved import shape_functions
 from dolfin_elastic.mesh.geometry.locate import LocatedPoint, locate
 from dolfin_elastic.model.kinematics import WeightedMeasure, weight
@@ -255,39 +255,7 @@ class ReactionFunctional(Functional):
         """See `Functional`."""
         motion = self.motion()
         entries = np.flatnonzero(motion).astype(np.int32)
-        result = assembler.residual.along(entries, motion[entries])
-        dofs = assembler.displacement_dofs
-        result[dofs] += _of_terms(self.problem, motion[dofs])
-        return result
-
-
-def _of_terms(problem: Problem, motion: FloatArray) -> FloatArray:
-    """Derivative of the work of forces that are in no form on a motion of owned nodes. Collective.
-
-    Contact of quadratic faces and springs between points may press or pull on what supports hold.
-    """
-    comm, first = problem.body.comm, problem.V.dofmap.index_map.local_range[0]
-    result: FloatArray = np.zeros((len(motion) // problem.body.dim, problem.body.dim))
-    if (blocks := problem.terms.blocks()) is None:
-        return result.ravel()
-    rows, moved = _of_all(comm, first, motion.reshape(result.shape))
-    if not len(rows):
-        return result.ravel()
-    some = np.isin(blocks.rows, rows)
-    m, values = moved[np.searchsorted(rows, blocks.rows[some])], blocks.values[some]
-    work = m * values[:, None] if values.ndim == 1 else np.einsum("nc,ncd->nd", m, values)
-    columns, works = (np.concatenate(comm.allgather(one)) for one in (blocks.columns[some], work))
-    own = (columns >= first) & (columns < first + len(result))
-    np.add.at(result, columns[own] - first, works[own])
-    return result.ravel()
-
-
-def _of_all(comm: MPI.Comm, first: int, rows: FloatArray) -> tuple[IntArray, FloatArray]:
-    """Global numbers of the nodes that move, ascending, and their motions. Collective."""
-    own = np.flatnonzero(np.any(rows != 0.0, axis=1))
-    parts = comm.allgather((own + first, rows[own]))
-    nodes, motions = (np.concatenate([part[i] for part in parts]) for i in (0, 1))
-    return nodes, motions
+        return assembler.residual.along(entries, motion[entries])
 
 
 def _direction(vector: FloatArray, component: int | None) -> FloatArray:

@@ -36,7 +36,6 @@ from dolfin_elastic.study.gradient.modes import (
 from dolfin_elastic.study.gradient.parameters import (
     STEP,
     Basis,
-    CaseNumber,
     Equilibrium,
     Sides,
     parameters,
@@ -100,7 +99,7 @@ class Gradients:
         if self._direct and (asked.fields or asked.offsets):
             raise InputError(
                 "there are no gradients by fields or the shape with contact between surfaces of "
-                "the mesh, or with obstacles or rigid surfaces under forces that contact moves",
+                "the mesh",
                 where="gradient",
                 expected="numbers of the case, with --by",
             )
@@ -116,22 +115,19 @@ class Gradients:
             state: What it has found; its time counts.
         """
         here = Equilibrium(newton, self._numbers_of, self._functionals, state.t)
-        adjoint = Adjoint(newton)
-        try:
+        solutions: list[AdjointState | None] = [None] * len(self._functionals)
+        with here.kept(), closing(Adjoint(newton)) as adjoint:
             of_scalars = here.by_scalars()
             values, sides = self._by.sides(here)
-            sides = self._by.with_motion(here, sides, of_all=self._direct)
-            solutions = [
-                None
-                if self._direct
-                else adjoint.solve(
-                    one.by_unknowns(here.assembler), of_scalars[number], one.motion()
-                )
-                for number, one in enumerate(self._functionals)
-            ]
+            if self._direct:
+                direct = Direct(here)
+                sides = [direct.total(side) for side in sides]
+            else:
+                solutions = [
+                    adjoint.solve(one.by_unknowns(here.assembler), row, one.motion())
+                    for one, row in zip(self._functionals, of_scalars, strict=True)
+                ]
             return self._by.gradients(here.assembler, self._functionals, values, sides, solutions)
-        finally:
-            adjoint.destroy()
 
 
 class _By:
@@ -162,24 +158,6 @@ class _By:
         """
         sides = [one.derivative(basis) for one in self._parameters]
         return basis.evaluated().numbers, sides
-
-    def with_motion(
-        self, here: Equilibrium, sides: Sequence[Sides], *, of_all: bool
-    ) -> list[Sides]:
-        """The same with the motion by each parameter that has no adjoint with contact.
-
-        Args:
-            of_all: None has.
-        """
-        if not here.problem.contact_pairs:
-            return list(sides)
-        direct = Direct(here)
-        result = [
-            direct.total(side) if of_all or isinstance(parameter, CaseNumber) else side
-            for parameter, side in zip(self._parameters, sides, strict=True)
-        ]
-        here.evaluated()  # functionals know where their values were asked for last
-        return result
 
     def gradients(
         self,
@@ -218,7 +196,8 @@ class _By:
         for parameter, side in zip(self._parameters, sides, strict=True):
             slope = float(side.numbers[number])
             if solution is not None:
-                slope += total(self._comm, float(solution.fields @ side.forces))
+                works = solution.fields @ side.forces + solution.pressures @ side.pressures
+                slope += total(self._comm, float(works))
                 slope += float(solution.scalars @ side.equations)
             if not math.isfinite(slope):
                 raise InputError(
@@ -251,13 +230,8 @@ def without_gradient(problem: Problem) -> str:
 
 
 def has_no_adjoint(problem: Problem) -> bool:
-    """Whether contact is between surfaces of the mesh, or moves what a force acts on, too.
-
-    Its tangent is not exact, or its multipliers are coupled to scalar unknowns. Not collective.
-    """
-    pairs = problem.contact_pairs
-    moved = any(pair.contact.between or pair.contact.push is not None for pair in pairs)
-    return moved or bool(pairs and problem.constraints.rigid_motions)
+    """Whether contact is between surfaces of the mesh: its tangent is not exact. Not collective."""
+    return any(pair.contact.between is not None for pair in problem.contact_pairs)
 
 
 @dataclass(frozen=True)

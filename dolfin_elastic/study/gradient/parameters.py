@@ -10,7 +10,8 @@ Source of the differences: B. Fornberg, Math. Comp. 51 (1988) 699, table 1.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Protocol
 
@@ -92,6 +93,27 @@ class Equilibrium:
         self.newton, self.assembler, self.functionals = newton, newton.assembler, functionals
         self.problem, self.t, self._numbers_of = newton.assembler.problem, t, numbers_of
         self.pressing = [pair.pressures() > 0.0 for pair in self.problem.contact_pairs]
+
+    @contextmanager
+    def kept(self) -> Iterator[None]:
+        """Inside, these and no others are in contact; afterwards all is as before, to the last bit.
+
+        What is evaluated, and the tangent, is smooth beside the equilibrium then.
+        """
+        pairs = self.problem.contact_pairs
+        before = [pair.lam.x.array.copy() for pair in pairs]
+        for pair, pressing in zip(pairs, self.pressing, strict=True):
+            eps, gaps = pair.eps, pair.pressing_gaps()
+            pair.keep(pressing)
+            more = (pair.eps - eps) * gaps  # of the penalty that it has now: pressures stay
+            pair.lam.x.array[pair.nodes] += np.where(pressing, more, 0.0)
+            pair.lam.x.scatter_forward()
+        try:
+            yield
+        finally:
+            for pair, lam in zip(pairs, before, strict=True):
+                pair.keep(None)
+                pair.lam.x.array[:] = lam
 
     def evaluated(self) -> Sides:
         """All that depends on parameters, as they are now."""

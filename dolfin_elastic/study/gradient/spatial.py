@@ -12,6 +12,7 @@ from ufl.core.expr import Expr
 from dolfin_elastic.core.errors import InputError, MeshError, nearest
 from dolfin_elastic.core.formula import Formula
 from dolfin_elastic.core.ghosts import assembled
+from dolfin_elastic.core.parallel import total
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.mesh.body import Body
 from dolfin_elastic.model.loads import BodyForce, Force, Gravity, Pressure, Traction
@@ -94,16 +95,30 @@ class CellConstant(_Field):
         coefficient = self._coefficient
         values = coefficient.x.array if isinstance(coefficient, fem.Function) else coefficient.value
         start, result = values.copy(), np.zeros(len(self.problem.body.owned_cells()))
+        of_means = 0.0
         try:
             for k, weight in WEIGHTS.items():
                 values[...] = start * (1 + k * STEP)
                 for factor, form in parts:
                     result += weight / STEP * factor * assembled(form, self._cells)
+                if adjoint is not None:
+                    of_means += weight / STEP * self._of_contact()
         finally:
             values[...] = start
         chosen = np.zeros(len(result), dtype=bool)
         chosen[self.region.cells] = True
-        return np.where(chosen, result, 0.0)
+        return np.where(chosen, result + of_means / total(self.problem.body.comm, chosen.sum()), 0)
+
+    def _of_contact(self) -> float:
+        """The work of forces of contact that are in no form on the adjoint. Collective.
+
+        They depend on means of a constant over the cells of a material, see `FaceBulges`.
+        """
+        unknowns, forces = self.problem.unknowns, np.zeros(len(self.problem.u.x.array))
+        for pair in self.problem.contact_pairs:
+            pair.add_forces(forces)
+        entries = unknowns.mixed_dofs(np.arange(len(forces), dtype=np.int32))
+        return -total(self.problem.body.comm, float(forces @ self.adjoint.x.array[entries]))
 
 
 def _in_cells(form: ufl.Form, test: Expr) -> ufl.Form:

@@ -293,14 +293,11 @@ class _Search:
     def _differentiated(self, newton: Newton, state: State) -> _Point:
         misfit = PointMisfit(newton.assembler.problem, self.sets)
         here = Equilibrium(newton, lambda _: [misfit], [misfit], state.t)
-        adjoint = Adjoint(newton)
-        try:
+        with here.kept(), closing(Adjoint(newton)) as adjoint:
             of_scalars = here.by_scalars()[0]
             value = float(here.evaluated().numbers[0])
             solution = adjoint.solve(misfit.by_unknowns(newton.assembler), of_scalars)
             slopes = CellConstant(self.key, newton.assembler).by_logarithm(solution, misfit)
-        finally:
-            adjoint.destroy()
         return _Point(value, slopes[self.chosen], misfit.residuals)
 
     # --- the search ---

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
+from contextlib import closing
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -80,14 +81,11 @@ class Tangents:
             return
         numbers = self._functionals
         here = Equilibrium(newton, lambda _: numbers, numbers, state.t)
-        adjoint = Adjoint(newton)
-        try:
+        with closing(Adjoint(newton)) as adjoint:
             sides = [one.derivative(here) for one in self._parameters]
             self._values.append(here.evaluated().numbers)  # with the functionals linearised here
             slopes = [one.by_unknowns(newton.assembler) for one in self._functionals]
             motions = [adjoint.solve(one.forces, one.equations).fields for one in sides]
-        finally:
-            adjoint.destroy()
         comm = self._problem.body.comm
         through = [
             np.array([total(comm, float(slope @ motion)) for slope in slopes]) for motion in motions

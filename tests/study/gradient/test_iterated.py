@@ -115,7 +115,7 @@ def test_conjugate_gradients_stop_by_the_norm_of_energy() -> None:
             exact = one.solve(slope, np.zeros(0)).fields
             off = energy(newton, rough.fields - exact) / energy(newton, exact)
             found.append((float(np.sqrt(off)), rough.iterations))
-            one.destroy()
+            one.close()
 
     at_the_end(held("conjugate gradients"), "iterative", look)
     errors, iterations = map(np.array, zip(*found, strict=True))
@@ -134,7 +134,7 @@ def test_an_adjoint_begins_with_those_before(name: str) -> None:
         one = Adjoint(newton)
         for slope in (first, third, 2.0 * first - 3.0 * third, second):
             counts.append(one.solve(slope, np.zeros(0)).iterations)
-        one.destroy()
+        one.close()
 
     at_the_end(held(name), "iterative", look)
     assert min(counts[:2]) > 20

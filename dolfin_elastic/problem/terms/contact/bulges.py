@@ -52,8 +52,18 @@ class FaceBulges:
     def __init__(self, pair: ContactPair, functions: VertexFunctions, context: FormContext) -> None:
         self._pair, self._functions = pair, functions
         self.some = pair.contact.between is None and not functions.linear
-        softest = min(shear_modulus(region.typical) for region in context.regions)
-        self._per_square = CURB / softest / functions.lengths if self.some else np.empty(0)
+        self._regions = context.regions
+        self._softest: tuple[bytes | None, float] = None, 1.0
+
+    @property
+    def _per_square(self) -> FloatArray:
+        """kappa over p^2 of the facets, with the present constants of materials [1/(Pa m)]."""
+        known, mu = self._softest
+        constants = (c.value for one in self._regions for c in one.constants.values())
+        if (present := b"".join(value.tobytes() for value in constants)) != known:
+            mu = min(shear_modulus(region.typical) for region in self._regions)
+            self._softest = present, mu
+        return np.asarray(CURB / mu / self._functions.lengths)
 
     def _means(self) -> FloatArray:
         """p of the facets [Pa]; 0 where not all vertices press. Collective."""

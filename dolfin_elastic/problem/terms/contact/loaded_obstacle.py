@@ -27,6 +27,7 @@ from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.mesh.body import span
 from dolfin_elastic.model.amplitude import CONSTANT, PROPORTIONAL, Amplitude
 from dolfin_elastic.problem.context import FormContext
+from dolfin_elastic.problem.pose import Pose
 from dolfin_elastic.problem.term import Blocks, OutOfBalance, ScalarTerm, StepWeights, Term
 from dolfin_elastic.problem.terms.contact.pair import ContactPair
 
@@ -323,6 +324,10 @@ class LoadedObstacle(ScalarTerm):
         """Moves the obstacle."""
         self._s = float(values[0])
         self._pair.shift.value[:] = self._s * self._way
+
+    def shifts(self, pose: Pose) -> FloatArray:
+        """See `ScalarUnknowns`."""
+        return self._way[None] if pose is self._pair.pose else super().shifts(pose)
 
     def _given(self) -> float:
         return self._pair.contact.force_at(self.t, self.default)

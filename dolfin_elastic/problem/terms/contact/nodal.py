@@ -119,29 +119,40 @@ class NodalContact(ContactPair):
             self.lam.x.array[self.nodes[~pressing]] = -1e6 * FAR * self.eps[~pressing]
             self.lam.x.scatter_forward()
 
-    def penalised(self, motion: FloatArray) -> FloatArray:
-        """See `Pressures`: the penalty is in the pressures at the nodes."""
-        normals, rates = self.gaps()[1], self._of_nodes(motion.reshape(-1, self._dim))
-        pressures = self.eps * np.sum(normals * rates, axis=1) * (self.pressures() > 0.0)
-        field, form = self._pressed
-        field.x.array[self.nodes] = pressures
-        field.x.scatter_forward()
-        return assembled(form, self._context.unknowns.W)
-
     @cached_property
-    def _pressed(self) -> tuple[fem.Function, fem.Form]:
-        """A field of pressures, and the compiled virtual work against them. Collective."""
-        field, v = fem.Function(self.lam.function_space), self._context.v
-        push = self.pose.acting_in_form(self._normal)
-        form = field * ufl.inner(push, v) * self._measure
-        (compiled,) = compile_forms(self.comm, [form], options(self.comm))
-        return field, compiled
+    def linearised(self) -> _NodalGaps:
+        """See `Pressures`."""
+        return _NodalGaps(self)
 
     def along(self, way: FloatArray) -> _ForceOfForm:
         """See `ContactPair`."""
         n = ufl.dot(self._normal, self._context.constant([float(x) for x in way]))
         force = self.pressure * n * self._measure
         return _ForceOfForm(self._context, force, self.penalty * self._measure)
+
+
+class _NodalGaps:
+    """See `LinearGaps`. Collective to make."""
+
+    def __init__(self, pair: NodalContact) -> None:
+        S, v = pair.lam.function_space, pair._context.v
+        self._pair, self._field = pair, fem.Function(S)
+        area = ufl.TestFunction(S) * pair._measure
+        work = self._field * ufl.inner(pair.pose.acting_in_form(pair._normal), v) * pair._measure
+        sizes, self._work = compile_forms(pair.comm, [area, work], options(pair.comm))
+        self.areas = assembled(sizes, S)[pair.nodes]
+
+    def rates(self, motion: FloatArray) -> FloatArray:
+        """See `LinearGaps`."""
+        pair, normals = self._pair, self._pair.gaps()[1]
+        along = np.sum(normals * pair._of_nodes(motion.reshape(-1, normals.shape[1])), axis=1)
+        return along if pair.kept is None else along * pair.kept
+
+    def spread(self, pressures: FloatArray) -> FloatArray:
+        """See `LinearGaps`."""
+        self._field.x.array[self._pair.nodes] = pressures
+        self._field.x.scatter_forward()
+        return assembled(self._work, self._pair._context.unknowns.W)
 
 
 class Touch(NamedTuple):

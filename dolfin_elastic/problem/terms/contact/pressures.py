@@ -61,6 +61,36 @@ class ForceAlong(Protocol):
         """Its derivative by the unknowns, owned entries [N/m]. Collective."""
 
 
+class LinearGaps(Protocol):
+    """Gaps at the owned vertices, and how they change.
+
+    Attributes:
+        areas: Reference areas over which the pressures act, (n,) [m^2].
+    """
+
+    areas: FloatArray
+
+    def rates(self, motion: FloatArray) -> FloatArray:
+        """How the gaps that are kept closed open along a motion, (n,) [m]. Collective.
+
+        0 at others.  Times `areas` they are minus the derivative by the multipliers of the work of
+        contact along the motion.
+
+        Args:
+            motion: Of all local nodes, (nodes * dim,) [m].
+        """
+
+    def spread(self, pressures: FloatArray) -> FloatArray:
+        """Derivative of the gaps by the unknowns, times areas and pressures. Collective.
+
+        Args:
+            pressures: At the owned vertices, (n,) [Pa].
+
+        Returns:
+            Owned entries of all unknowns [N].
+        """
+
+
 class Pressures(InSteps):
     """Gaps and pressures of one contact on one body. Collective to make.
 
@@ -192,7 +222,7 @@ class Pressures(InSteps):
         """These owned vertices stay in contact and no other gets there; None: as gaps tell.
 
         So forces beside an equilibrium are smooth, also where a vertex has nearly opened or closed.
-        The multipliers of the others are lost. Collective.
+        Penalties may be others meanwhile; the multipliers of other vertices are lost. Collective.
         """
         self.kept = pressing
 
@@ -262,17 +292,9 @@ class Pressures(InSteps):
         """The obstacle's force on the body along a unit vector. Collective."""
         raise NotImplementedError
 
-    def penalised(self, motion: FloatArray) -> FloatArray:
-        """eps G^T G x: what of the tangent keeps gaps closed, times a motion. Collective.
-
-        Of vertices in contact; the other part, by the turn of normals under pressures, does not.
-
-        Args:
-            motion: Of all local nodes [m].
-
-        Returns:
-            Forces against it, owned entries of all unknowns [N].
-        """
+    @property
+    def linearised(self) -> LinearGaps:
+        """The gaps beside the present state, with what is kept. Collective."""
         raise NotImplementedError
 
 

@@ -105,6 +105,19 @@ class _Followed(ContactPair):
         now = self.multipliers.iterate
         return super().values() if now is None else now.values
 
+    @property
+    def stiff(self) -> FloatArray:
+        """Penalty at the owned vertices that leaves next to no gap [Pa/m]."""
+        return np.asarray(RIGID * np.maximum(self._first[1], FACTOR / self.softness))
+
+    def keep(self, pressing: BoolArray | None) -> None:
+        """See `Pressures`: as stiff as in Newton's method, whose factors serve for the tangent.
+
+        Not between surfaces of the mesh, where derivatives along motions are differences.
+        """
+        super().keep(pressing)
+        self.eps = self._first[1] if pressing is None or self.contact.between else self.stiff
+
     def _forget(self) -> None:
         """What an iteration has learnt of an obstacle's normals does not outlive it."""
         for obstacle in self._followed:
@@ -320,15 +333,10 @@ class VertexContact(_Followed):
         """See `ContactPair`."""
         return _ForceOfVertices(self, way)
 
-    def penalised(self, motion: FloatArray) -> FloatArray:
-        """See `Pressures`: bulges depend on the multipliers, too."""
-        functions, way = self.functions, self._over_step()
-        along = np.sum(way.normals * functions.displacements(motion), axis=2)
-        rates = functions.means(along[..., None])[:, 0]
-        if self.bulges.some:
-            rates += self.bulges.by_multipliers(way.last, along) / functions.areas
-        pressures = self.state(way)[1] * rates
-        return nodal_forces(self, functions.at_points(pressures[:, None]) * way.normals)
+    @property
+    def linearised(self) -> _VertexGaps:
+        """See `Pressures`."""
+        return _VertexGaps(self)
 
 
 class VertexPressures(Multipliers):
@@ -351,9 +359,10 @@ class VertexPressures(Multipliers):
         presses = p > 0.0 if before is None else before.active
         stays = (p >= -pair.eps * pair.reach) & (gaps < pair.size)
         active = np.where(presses, stays, gaps <= pair.reach)
-        stiffness = RIGID * np.maximum(pair.eps, FACTOR / pair.softness)
         values = np.where(active, p, 0.0)
-        self.iterate = PressureIterate(values=values, gaps=gaps, active=active, stiffness=stiffness)
+        self.iterate = PressureIterate(
+            values=values, gaps=gaps, active=active, stiffness=pair.stiff
+        )
         return True
 
     def foresee(self, motion: FloatArray) -> None:
@@ -436,6 +445,28 @@ def _measured(
     first, rows = functions.distinct
     gaps, normals = obstacle.gaps(x.reshape(-1, x.shape[-1])[first])
     return gaps[rows].reshape(x.shape[:-1]), normals[rows].reshape(x.shape)
+
+
+class _VertexGaps:
+    """See `LinearGaps`."""
+
+    def __init__(self, pair: VertexContact) -> None:
+        self._pair, self.areas = pair, pair.functions.areas
+        self._gaps, self._normals = pair._at_points()
+
+    def rates(self, motion: FloatArray) -> FloatArray:
+        """See `LinearGaps`: bulges depend on the multipliers, too."""
+        pair, functions = self._pair, self._pair.functions
+        along = np.sum(self._normals * functions.displacements(motion), axis=2)
+        rates = functions.means(along[..., None])[:, 0]
+        if pair.bulges.some:
+            rates += pair.bulges.by_multipliers(self._gaps, along) / self.areas
+        return rates if pair.kept is None else rates * pair.kept
+
+    def spread(self, pressures: FloatArray) -> FloatArray:
+        """See `LinearGaps`."""
+        at_points = self._pair.functions.at_points(pressures[:, None])
+        return nodal_forces(self._pair, at_points * self._normals)
 
 
 class _ForceOfVertices:
