@@ -428,11 +428,7 @@ class ScalarUnknowns:
         raise NotImplementedError
 
     def shifts(self, pose: Pose) -> FloatArray:
-        """Motion of an obstacle by each of them, shape (size, dim) [m]; none by others.
-
-        Args:
-            pose: Of the obstacle.
-        """
+        """Motion of the obstacle with this pose by each of them, shape (size, dim) [m]."""
         return np.zeros((self.size, len(pose.shift.value)))
 
     def residual(self, forces: OutOfBalance) -> FloatArray:

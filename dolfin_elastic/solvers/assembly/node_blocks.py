@@ -98,7 +98,7 @@ class NodeBlocks:
 
         Args:
             direction: Owned entries of all unknowns [m].
-            transposed: With the transposed ones.
+            transposed: Forces at the blocks' columns, as of their work on a motion.
         """
         B = self.assembled()
         x, y = B.createVecs()
