@@ -28,9 +28,9 @@ from dolfin_elastic import (
 from dolfin_elastic.core.errors import ConvergenceError, InputError
 from dolfin_elastic.core.parallel import largest, total
 from dolfin_elastic.model.amplitude import CONSTANT
+from dolfin_elastic.problem.constraints.ties.segments import Pairs, Segments
 from dolfin_elastic.problem.state import StateCopy
 from dolfin_elastic.problem.term import StepWeights
-from dolfin_elastic.problem.terms.bodies import functions
 from dolfin_elastic.problem.terms.contact.friction import CoulombFriction
 from dolfin_elastic.problem.terms.contact.pair import nearest_spot
 from dolfin_elastic.solvers.assembly.assembler import Assembler
@@ -189,14 +189,14 @@ def test_tangent(dim, degree, monkeypatch):
 
     def freeze() -> None:
         assert comm.allreduce(int(np.sum(pair.pressures() > 0))) > 0
-        cut = functions.cut
-        known: list[Any] = []
+        cut = Pairs.pieces
+        known: list[Segments] = []
 
-        def frozen(*args: Any, **keys: Any) -> Any:
-            known.extend([] if known else [cut(*args, **keys)])
+        def frozen(pairs: Pairs) -> Segments:
+            known.extend([] if known else [cut(pairs)])
             return known[0]
 
-        monkeypatch.setattr(functions, "cut", frozen)
+        monkeypatch.setattr(Pairs, "pieces", frozen)
         pair.pieces._at = np.empty(0)
         pair.pressures()
 

@@ -11,7 +11,8 @@ section 4; M. A. Puso, T. A. Laursen & J. Solberg, Comput. Methods Appl. Mech. E
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import basix
 import numpy as np
@@ -53,6 +54,7 @@ class Segments:
     Attributes:
         near: Facet of the first surface, shape (pieces,).
         far: Facet of the second surface, shape (pieces,).
+        pair: Of flat parts, which it is a piece of, shape (pieces,), not decreasing.
         near_coordinates: Barycentric coordinates in `near`, shape (pieces, points, d).
         far_coordinates: The same in `far`.
         weights: Areas [m^(d-1)], shape (pieces, points).
@@ -64,6 +66,7 @@ class Segments:
 
     near: IntArray
     far: IntArray
+    pair: IntArray
     near_coordinates: FloatArray
     far_coordinates: FloatArray
     weights: FloatArray
@@ -74,6 +77,12 @@ class Segments:
 
     def __getitem__(self, which: BoolArray | IntArray) -> Segments:
         return Segments(**{name: values[which] for name, values in vars(self).items()})
+
+
+def joined(parts: Sequence[Segments]) -> Segments:
+    """All pieces of several."""
+    every = [vars(one) for one in parts]
+    return Segments(**{name: np.concatenate([one[name] for one in every]) for name in every[0]})
 
 
 @dataclass(frozen=True)
@@ -118,6 +127,89 @@ class _Flat:
         return n
 
 
+@dataclass(frozen=True)
+class Pairs:
+    """Flat parts of facets of two surfaces that may lie opposite each other.
+
+    Attributes:
+        a: Flat parts of `near`, the facets of the first surface.
+        b: Flat parts of `far`, the facets of the second one.
+        i: Which of the parts `a` is in each pair, shape (pairs,).
+        j: Which of the parts `b`, shape (pairs,).
+        y: Corners of the second part in coordinates of the first one, shape (pairs, d, d - 1).
+        tolerance: Largest distance [m]; None: `GAP` of the facets' size.
+    """
+
+    near: Facets
+    far: Facets
+    a: _Flat
+    b: _Flat
+    i: IntArray
+    j: IntArray
+    y: FloatArray
+    tolerance: float | None
+
+    def __getitem__(self, which: BoolArray) -> Pairs:
+        return replace(self, i=self.i[which], j=self.j[which], y=self.y[which])
+
+    @property
+    def near_facet(self) -> IntArray:
+        """Facet of the first surface of each pair."""
+        return self.a.parent[self.i]
+
+    @property
+    def far_facet(self) -> IntArray:
+        """Facet of the second surface."""
+        return self.b.parent[self.j]
+
+    def pieces(self, y: FloatArray | None = None) -> Segments:
+        """What the pairs have in common.
+
+        Args:
+            y: Other corners in place of those of the pairs, shape of these.
+        """
+        y = self.y if y is None else y
+        of = _pieces_of_planes if self.near.x.shape[2] == 3 else _pieces_of_lines
+        pieces = of(self.a, self.b, self.i, self.j, y)
+        most = GAP * pieces.sizes if self.tolerance is None else self.tolerance
+        return pieces[pieces.gaps <= most]
+
+    def by_nodes(self, of_y: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Derivatives of a number by the geometry nodes of both facets of each pair.
+
+        With the place X(y) on the first facet, the sides t of its flat part and a corner b of the
+        other one, y is where t . (X(y) - b) = 0.
+
+        Args:
+            of_y: The derivatives of the number by `y`, in the shape of that.
+
+        Returns:
+            Shapes (pairs, nodes, d).
+        """
+        whole, there = self.near.x[self.near_facet], self.far.x[self.far_facet]
+        corners, flat = self.a.corners[self.i], self.a.x[self.i]
+        nodes = whole.shape[1]
+        at_corners = shape_functions(corners, nodes)
+        at_others = shape_functions(self.b.corners[self.j], there.shape[1])
+        t, b, sides = flat[:, 1:] - flat[:, :1], at_others @ there, corners[:, 1:] - corners[:, :1]
+        where = corners[:, :1] + self.y @ sides
+        N = shape_functions(where, nodes)
+        slopes = sides[:, None, :, 1:] @ shape_slopes(where, nodes).swapaxes(2, 3)
+        # Where nothing of the facet has that projection, y is in the plane of its part.
+        lies = np.all(np.abs(_along(flat, N @ whole - b)) < FOUND, axis=2)[..., None]
+        share = np.concatenate([1 - self.y.sum(axis=2, keepdims=True), self.y], axis=2)
+        N = np.where(lies, N, share @ at_corners)
+        plane = at_corners[:, 1:] - at_corners[:, :1]
+        slopes = np.where(lies[..., None], slopes, plane[:, None])
+        J = (slopes @ whole[:, None]) @ t[:, None].swapaxes(2, 3)
+        turned = _solved(J, of_y)
+        along, off = turned @ t, N @ whole - b
+        of_sides = -turned.swapaxes(1, 2) @ off
+        of_corners = np.concatenate([-of_sides.sum(axis=1, keepdims=True), of_sides], axis=1)
+        of_near = at_corners.swapaxes(1, 2) @ of_corners - N.swapaxes(1, 2) @ along
+        return of_near, at_others.swapaxes(1, 2) @ along
+
+
 def cut(near: Facets, far: Facets, tolerance: float | None, *, facing: bool = False) -> Segments:
     """All pieces of facets that lie opposite each other. Local.
 
@@ -126,6 +218,11 @@ def cut(near: Facets, far: Facets, tolerance: float | None, *, facing: bool = Fa
         tolerance: Largest distance [m]; infinity: any; None: `GAP` of the facets' size.
         facing: Only of those whose outer sides see each other.
     """
+    return pairs_of(near, far, tolerance, facing=facing).pieces()
+
+
+def pairs_of(near: Facets, far: Facets, tolerance: float | None, *, facing: bool) -> Pairs:
+    """What `cut` cuts. Local."""
     a, b = _flat(near), _flat(far)
     i, j = _candidates(a, b, tolerance, facing=facing)
     y = _along(a.x[i], b.x[j] - a.x[i, :1])
@@ -135,9 +232,7 @@ def cut(near: Facets, far: Facets, tolerance: float | None, *, facing: bool = Fa
     i, j, y = i[some], j[some], y[some]
     if a.parts > 1:
         y = _on_curved(near.x[a.parent[i]], a.x[i], a.corners[i], y)
-    pieces = (_pieces_of_planes if near.x.shape[2] == 3 else _pieces_of_lines)(a, b, i, j, y)
-    most = GAP * pieces.sizes if tolerance is None else tolerance
-    return pieces[pieces.gaps <= most]
+    return Pairs(near, far, a, b, i, j, y, tolerance)
 
 
 def _along(flat: FloatArray, vectors: FloatArray) -> FloatArray:
@@ -238,6 +333,7 @@ def _made(
     i: IntArray,
     j: IntArray,
     *,
+    pair: IntArray,
     s: FloatArray,
     m: FloatArray,
     parts: FloatArray,
@@ -245,18 +341,21 @@ def _made(
     """Pieces from barycentric coordinates in flat facets.
 
     Args:
-        i: Facet in `a` of each piece.
+        i: Facet in `a` of each pair.
         j: Facet in `b`.
+        pair: Of each piece.
         s: Coordinates in `a`, shape (pieces, points, d).
         m: Coordinates in `b`.
         parts: Weights over the part of the first flat facet that each piece is.
     """
+    i, j = i[pair], j[pair]
     x, y = (
         np.einsum("npk,nkc->npc", where, flat.x[k]) for where, flat, k in ((s, a, i), (m, b, j))
     )
     return Segments(
         near=a.parent[i],
         far=b.parent[j],
+        pair=pair,
         near_coordinates=np.einsum("npk,nkc->npc", s, a.corners[i]),
         far_coordinates=np.einsum("npk,nkc->npc", m, b.corners[j]),
         weights=parts * a.areas[i, None],
@@ -274,8 +373,8 @@ def _pieces_of_lines(a: _Flat, b: _Flat, i: IntArray, j: IntArray, y: FloatArray
         y: Ends of the other side's in coordinates of the first one's, shape (n, 2, 1).
     """
     low, high = np.maximum(y[:, :, 0].min(axis=1), 0.0), np.minimum(y[:, :, 0].max(axis=1), 1.0)
-    keep = high - low > THIN
-    i, j, low, high, ends = (v[keep] for v in (i, j, low, high, y[:, :, 0]))
+    pair = np.flatnonzero(high - low > THIN)
+    low, high, ends = (v[pair] for v in (low, high, y[:, :, 0]))
     points, weights = basix.make_quadrature(basix.CellType.interval, DEGREE)
     at = low[:, None] + (high - low)[:, None] * points[:, 0]
     there = (at - ends[:, :1]) / (ends[:, 1:] - ends[:, :1])
@@ -284,6 +383,7 @@ def _pieces_of_lines(a: _Flat, b: _Flat, i: IntArray, j: IntArray, y: FloatArray
         b,
         i,
         j,
+        pair=pair,
         s=np.stack([1 - at, at], axis=2),
         m=np.stack([1 - there, there], axis=2),
         parts=(high - low)[:, None] * weights,
@@ -310,8 +410,9 @@ def _pieces_of_planes(a: _Flat, b: _Flat, i: IntArray, j: IntArray, y: FloatArra
     return _made(
         a,
         b,
-        i[piece],
-        j[piece],
+        i,
+        j,
+        pair=piece,
         s=np.concatenate([1 - at.sum(axis=2, keepdims=True), at], axis=2),
         m=_barycentric(y[piece], at),
         parts=2 * parts[:, None] * weights,

@@ -34,7 +34,7 @@ from dolfin_elastic.core.parallel import largest, smallest, total
 from dolfin_elastic.core.types import BoolArray, FloatArray, IndexArray, IntArray
 from dolfin_elastic.problem.constraints.ties.exchange import Owners
 from dolfin_elastic.problem.constraints.ties.facets import Facets, areas, opposite, owned
-from dolfin_elastic.problem.constraints.ties.segments import Segments, cut
+from dolfin_elastic.problem.constraints.ties.segments import Pairs, Segments, pairs_of
 from dolfin_elastic.problem.constraints.ties.shapes import (
     shape_bends,
     shape_functions,
@@ -67,6 +67,7 @@ class Side:
         nodes: Global nodes of the displacement, shape (facets, nodes).
         X: Reference places of the nodes of the displacement or of the geometry, whichever are
             more, shape (facets, nodes, dim) [m].
+        moved: Displacements of these from those of `nodes`, shape (nodes of `X`, nodes).
         vertices: Local vertices in the space of multipliers, shape (facets, dim).
     """
 
@@ -74,8 +75,9 @@ class Side:
         body, V = context.body, context.unknowns.V
         found = owned(body, V, names)
         self.nodes, shape = found.nodes, found.nodes.shape
-        self._count = max(found.x.shape[1], shape[1])
-        self.X = _at_nodes(found.x, self._count)
+        count = max(found.x.shape[1], shape[1])
+        self.X = at_more_nodes(body.dim, found.x.shape[1], count) @ found.x
+        self.moved = at_more_nodes(body.dim, shape[1], count)
         self._local = V.dofmap.index_map.global_to_local(self.nodes.ravel()).reshape(shape)
         vertices = owned(body, S, names).nodes
         self.vertices = S.dofmap.index_map.global_to_local(vertices.ravel()).reshape(vertices.shape)
@@ -83,16 +85,14 @@ class Side:
     def at(self, u: FloatArray) -> Facets:
         """The facets where a displacement puts them. Local."""
         moved = u.reshape(-1, self.X.shape[2])[self._local]
-        return Facets(self.X + _at_nodes(moved, self._count), self.nodes)
+        return Facets(self.X + self.moved @ moved, self.nodes)
 
 
-def _at_nodes(values: FloatArray, count: int) -> FloatArray:
-    """Values at the nodes of facets with so many, from those with as many or fewer."""
-    d = values.shape[2]
+def at_more_nodes(d: int, few: int, many: int) -> FloatArray:
+    """What a facet with so many nodes has at them from values at few, shape (many, few)."""
     ends = np.eye(d)
     middle = [(ends[i] + ends[j]) / 2 for i, j in ([(0, 1)], [(1, 2), (0, 2), (0, 1)])[d - 2]]
-    where = np.vstack([ends, *middle])[:count]
-    return np.asarray(shape_functions(where[None], values.shape[1])[0] @ values)
+    return shape_functions(np.vstack([ends, *middle])[None, :many], few)[0]
 
 
 class Opposite(NamedTuple):
@@ -113,6 +113,22 @@ class Opposite(NamedTuple):
     slopes: FloatArray
 
 
+class OnFaces(NamedTuple):
+    """The functions psi = w dual l on the faces of the carrying side, with their hats l.
+
+    Attributes:
+        dual: Shape (faces, dim, dim).
+        inverse: Of the mass matrices [1/m^2].
+        means: Integrals of the hats, shape (faces, dim) [m^2].
+        share: Part of each face by which `dual` is biorthogonal.
+    """
+
+    dual: FloatArray
+    inverse: FloatArray
+    means: FloatArray
+    share: FloatArray
+
+
 class PieceFunctions(VertexFunctions):
     """The functions of a contact between two surfaces. Collective to make.
 
@@ -128,11 +144,17 @@ class PieceFunctions(VertexFunctions):
 
     Attributes:
         reach: As given.
+        about_axis: The body is axisymmetric.
         share: Part of the area of each owned vertex that lies opposite something.
         covered: Of which of them enough does.
         opposed: Part of each owned face that lies opposite something.
         hats: Barycentric coordinates of the points, shape (pieces, points, dim).
         there: What lies opposite the points.
+        near: Faces of the carrying side.
+        pairs: What was cut.
+        near_enough: Of which of these faces something lies within reach.
+        face: That of each piece.
+        faces: The functions on these.
         opposite_hats: Barycentric coordinates there.
         fading: Overlaps that do not act yet, at vertices; None: there are none [m].
     """
@@ -153,13 +175,13 @@ class PieceFunctions(VertexFunctions):
         self._owners = Owners(pair.comm, self._map.local_range[0], self._map.size_local)
         nodes = self._node_map
         self.node_owners = Owners(pair.comm, nodes.local_range[0], nodes.size_local)
-        self._near, self._far = (Side(context, names, S) for names in sides)
-        self.reach, self._thickness = reach, thickness
+        self.near, self._far = (Side(context, names, S) for names in sides)
+        self.reach, self._thickness, self.about_axis = reach, thickness, context.axisymmetric
         self.fading: fem.Function | None = None
         around = 2 * np.pi if context.axisymmetric else 1.0
-        faces = Facets(self._near.X, self._near.nodes)
+        faces = Facets(self.near.X, self.near.nodes)
         whole = thickness * around / self._dim * areas(faces, axisymmetric=context.axisymmetric)
-        self._vertices = self._near.vertices
+        self._vertices = self.near.vertices
         self._whole = self.summed(np.repeat(whole[:, None], self._dim, axis=1)[..., None])[:, 0]
         self._at: FloatArray = np.empty(0)
         self.renew()
@@ -175,10 +197,12 @@ class PieceFunctions(VertexFunctions):
             return False
         if changes[0] > 0.0:
             self._at = u.copy()
-            near, far, pieces = self.within(AROUND * self.reach)
-            nearest = np.full(len(near.x), np.inf)
+            self.pairs = self._pairs(AROUND * self.reach)
+            pieces = self.pairs.pieces()
+            nearest = np.full(len(self.pairs.near.x), np.inf)
             np.minimum.at(nearest, pieces.near, pieces.gaps)
-            self._take(near, far, pieces[nearest[pieces.near] <= self.reach])
+            self.near_enough = nearest <= self.reach
+            self._take(self.pairs.near, self.pairs.far, pieces[self.near_enough[pieces.near]])
         return True
 
     def within(
@@ -189,14 +213,19 @@ class PieceFunctions(VertexFunctions):
         Args:
             motion: After this one of all local nodes [m].
         """
+        pairs = self._pairs(reach, motion)
+        return pairs.near, pairs.far, pairs.pieces()
+
+    def _pairs(self, reach: float, motion: FloatArray | None = None) -> Pairs:
+        """See `within`: what is cut. Collective."""
         u = self._u.x.array if motion is None else self._u.x.array + motion
-        near = self._near.at(u)
+        near = self.near.at(u)
         far = opposite(self._pair.comm, near, self._far.at(u), reach)
-        return near, far, cut(near, far, reach, facing=True)
+        return pairs_of(near, far, reach, facing=True)
 
     def farthest(self, motion: FloatArray) -> float:
         """By how much a motion of all local nodes moves both sides together [m]. Collective."""
-        ways = (side.at(motion).x - side.X for side in (self._near, self._far))
+        ways = (side.at(motion).x - side.X for side in (self.near, self._far))
         most = [float(np.max(np.linalg.norm(way, axis=2), initial=0.0)) for way in ways]
         return sum(largest(self._pair.comm, one) for one in most)
 
@@ -214,11 +243,11 @@ class PieceFunctions(VertexFunctions):
             Gaps before the motion, and their changes.
         """
         near, far, pieces = self.within(reach, motion if after else None)
-        hats, there = self._opposite(near, far, pieces)
+        hats, there = self.lying_opposite(near, far, pieces)
         numbers = np.concatenate([near.nodes[pieces.near], far.nodes[pieces.far]], axis=1)
-        shapes = _shapes(pieces.near_coordinates, hats, near.nodes.shape[1])
-        change = np.sum(there.normal * (shapes @ self._values(motion, numbers)), axis=2)
-        of = self._near.vertices[pieces.near]
+        shapes = relative_shapes(pieces.near_coordinates, hats, near.nodes.shape[1])
+        change = np.sum(there.normal * (shapes @ self.values(motion, numbers)), axis=2)
+        of = self.near.vertices[pieces.near]
         gaps = there.gap - np.einsum("nqi,ni->nq", pieces.near_coordinates, offsets[of])
         return gaps - change if after else gaps, change
 
@@ -232,10 +261,12 @@ class PieceFunctions(VertexFunctions):
     def signed_within(self, reach: float) -> tuple[Facets, Facets, Segments, FloatArray]:
         """See `within`; and gaps of the pieces, negative where they overlap [m]. Collective."""
         near, far, pieces = self.within(reach)
-        inside = self._opposite(near, far, pieces)[1].gap.mean(axis=1) < 0.0
+        inside = self.lying_opposite(near, far, pieces)[1].gap.mean(axis=1) < 0.0
         return near, far, pieces, np.where(inside, -pieces.gaps, pieces.gaps)
 
-    def _opposite(self, near: Facets, far: Facets, pieces: Segments) -> tuple[FloatArray, Opposite]:
+    def lying_opposite(
+        self, near: Facets, far: Facets, pieces: Segments
+    ) -> tuple[FloatArray, Opposite]:
         """See `_nearest`: of the points of pieces. Local."""
         s, i, j = pieces.near_coordinates, pieces.near, pieces.far
         x = np.einsum("nqk,nkd->nqd", shape_functions(s, near.x.shape[1]), near.x[i])
@@ -244,24 +275,34 @@ class PieceFunctions(VertexFunctions):
     def _take(self, near: Facets, far: Facets, pieces: Segments) -> None:
         s, i, j, k = pieces.near_coordinates, pieces.near, pieces.far, near.nodes.shape[1]
         self.hats = s
-        self.opposite_hats, self.there = self._opposite(near, far, pieces)
-        self.shapes = _shapes(s, self.opposite_hats, k)
+        self.opposite_hats, self.there = self.lying_opposite(near, far, pieces)
+        self.shapes = relative_shapes(s, self.opposite_hats, k)
         t = self.there.tangents
         self._dual = t @ np.linalg.inv(t.swapaxes(2, 3) @ t)
         self._numbers = np.concatenate([near.nodes[i], far.nodes[j]], axis=1)
-        self._vertices = self._near.vertices[i]
-        self.X = np.einsum("nqk,nkd->nqd", shape_functions(s, near.x.shape[1]), self._near.X[i])
+        self._vertices, self.face = self.near.vertices[i], i
+        self.X = np.einsum("nqk,nkd->nqd", shape_functions(s, near.x.shape[1]), self.near.X[i])
         self._weight(pieces)
+
+    def measure(self, pieces: Segments) -> FloatArray:
+        """Reference areas of points over their shares, shape (pieces, points) [m^2].
+
+        Args:
+            pieces: Of the faces of the carrying side.
+        """
+        s, X, d = pieces.near_coordinates, self.near.X[pieces.near], self._dim
+        tangents = np.einsum("nqka,nkd->nqda", shape_slopes(s, X.shape[1]), X)
+        metric = np.linalg.det(tangents.swapaxes(-1, -2) @ tangents)
+        result: FloatArray = self._thickness * np.sqrt(metric) / (d - 1)
+        if self.about_axis:
+            result *= 2 * np.pi * np.einsum("nqk,nk->nq", shape_functions(s, X.shape[1]), X[..., 0])
+        return result
 
     def _weight(self, pieces: Segments) -> None:
         """Takes psi and areas over the pieces."""
         s, i, d = pieces.near_coordinates, pieces.near, self._dim
-        X = self._near.X
-        tangents = np.einsum("nqka,nkd->nqda", shape_slopes(s, X.shape[1]), X[i])
-        metric = np.linalg.det(tangents.swapaxes(-1, -2) @ tangents)
-        weights = self._thickness * pieces.shares * np.sqrt(metric) / (d - 1)
-        if self._context.axisymmetric:
-            weights = weights * 2 * np.pi * self.X[:, :, 0]
+        X = self.near.X
+        self.weights = weights = pieces.shares * self.measure(pieces)
         masses, means, covered = (np.zeros((len(X), *shape)) for shape in ((d, d), (d,), ()))
         np.add.at(masses, i, np.einsum("nq,nqi,nqj->nij", weights, s, s))
         parts = np.einsum("nq,nqi->ni", weights, s)
@@ -271,6 +312,7 @@ class PieceFunctions(VertexFunctions):
         share = np.where(covered < 1 - 1e-9, covered, 1.0)[:, None, None]
         inverse = np.linalg.pinv(masses, rcond=_SINGULAR, hermitian=True)
         dual = share * means[:, :, None] * inverse + (1 - share) * np.eye(d)
+        self.faces = OnFaces(dual, inverse, means, share[:, 0, 0])
         self.psi = np.einsum("nq,nij,nqj->nqi", weights, dual[i], s)
         self.opposed = np.minimum(covered, 1.0)
         self._areas = self.summed(parts[..., None])[:, 0]
@@ -317,14 +359,19 @@ class PieceFunctions(VertexFunctions):
             turned: Relative to the other side's normal, too.
         """
         self.renew()
-        found = self._values(field, self._numbers)
+        found = self.values(field, self._numbers)
         if not turned:
             return np.asarray(self.shapes @ found)
         along = self.there.normal @ self._far_half(found).swapaxes(1, 2)
         turns = along[:, :, None] @ self.there.slopes @ self._levers.swapaxes(2, 3)
         return np.asarray(self.shapes @ found + turns[:, :, 0])
 
-    def _values(self, field: FloatArray, nodes: IntArray) -> FloatArray:
+    def values(self, field: FloatArray, nodes: IntArray) -> FloatArray:
+        """A field of displacements at global nodes, shape (..., dim). Collective.
+
+        Args:
+            field: Its local entries, owned ones first.
+        """
         rows = field[: self.node_owners.count * self._dim].reshape(-1, self._dim)
         return self.node_owners.values_at(rows, nodes).reshape(*nodes.shape, self._dim)
 
@@ -385,7 +432,7 @@ class PieceFunctions(VertexFunctions):
         return np.asarray(self._numbers[which])
 
 
-def _shapes(near: FloatArray, far: FloatArray, count: int) -> FloatArray:
+def relative_shapes(near: FloatArray, far: FloatArray, count: int) -> FloatArray:
     """Shape functions of a point's displacement relative to the one opposite, both with `count`."""
     return np.concatenate([shape_functions(near, count), -shape_functions(far, count)], axis=2)
 

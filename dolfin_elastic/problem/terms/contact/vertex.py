@@ -420,14 +420,18 @@ def nodal_forces(pair: VertexContact, vectors: FloatArray) -> FloatArray:
     Args:
         vectors: With integrals, shape (facets, points, dim) [N].
     """
-    unknowns = pair._context.unknowns
-    W, nodes, dim = unknowns.W.dofmap, unknowns.V.dofmap.index_map, vectors.shape[-1]
+    nodes, dim = pair._context.unknowns.V.dofmap.index_map, vectors.shape[-1]
     vector = la.vector(nodes, dim)
     vector.array[:] = pair.functions.spread(vectors)
     vector.scatter_reverse(la.InsertMode.add)
-    own = np.arange(nodes.size_local * dim, dtype=np.int32)
-    result = np.zeros(W.index_map.size_local * W.index_map_bs)
-    result[unknowns.mixed_dofs(own)] = vector.array[: len(own)]
+    return of_unknowns(pair, vector.array[: nodes.size_local * dim])
+
+
+def of_unknowns(pair: VertexContact, forces: FloatArray) -> FloatArray:
+    """Owned entries of the displacement as those of all unknowns. Not collective."""
+    unknowns = pair._context.unknowns
+    result = np.zeros(unknowns.W.dofmap.index_map.size_local * unknowns.W.dofmap.index_map_bs)
+    result[unknowns.mixed_dofs(np.arange(len(forces), dtype=np.int32))] = forces
     return result
 
 

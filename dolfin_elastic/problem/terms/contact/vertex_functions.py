@@ -159,11 +159,17 @@ class VertexFunctions:
         """
         return np.asarray(self.psi @ self.at_vertices(values))
 
-    def at_vertices(self, values: FloatArray) -> FloatArray:
-        """Values of the owned vertices at the vertices of facets, shape (facets, d, columns)."""
+    def at_vertices(self, values: FloatArray, vertices: IntArray | None = None) -> FloatArray:
+        """Values of the owned vertices at the vertices of facets, shape (facets, d, columns).
+
+        Collective.
+
+        Args:
+            vertices: Local ones of other facets.
+        """
         every = np.zeros((self._map.size_local, values.shape[1]))
         every[self._pair.nodes] = values
-        return with_ghosts(self._map, every)[self._vertices]
+        return with_ghosts(self._map, every)[self._vertices if vertices is None else vertices]
 
     def beside(self, which: BoolArray) -> BoolArray:
         """Which vertices of facets are some of the owned vertices, shape (facets, d). Collective.
