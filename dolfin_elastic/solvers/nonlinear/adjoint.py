@@ -136,22 +136,27 @@ class Adjoint:
             fields, scalars = self._bordered(derivative, of_scalars)
             return AdjointState(fields, scalars, np.zeros(0), self._iterations)
         mixing, multipliers = Mixing(self._assembler.comm), np.zeros_like(gaps.eps)
-        before, off, rtol = np.zeros_like(derivative), 1.0, 1.0
+        before: FloatArray = np.zeros_like(derivative)
+        cut, off, rtol = before, 1.0, 1.0
         for _ in range(_UZAWA):
             by_fields, by_scalars = gaps.loads(multipliers)
             rtol = max(self._digits, _ROUGH * min(off, rtol))
             with self._solving(rtol):
-                fields, scalars = self._bordered(derivative + by_fields, of_scalars + by_scalars)
-            rates, sizes = (gaps.stiffness * one for one in gaps.rates(fields, scalars, motion))
-            squares = [np.sum(x**2) for x in (rates, sizes, multipliers, fields - before, fields)]
+                whole = derivative + by_fields + cut
+                fields, scalars = self._bordered(whole, of_scalars + by_scalars)
+            way = gaps.way(fields, scalars, motion)
+            rates, sizes = (gaps.stiffness * one for one in gaps.rates(way))
+            change = np.append(rates, gaps.left_out(way, multipliers) - cut)
+            squares = [np.sum(x**2) for x in (change, sizes, multipliers, fields - before, fields)]
             left, *known, moved, size = total(self._assembler.comm, np.array(squares)) ** 0.5
-            least = DIGITS * max(known)
+            least, enough = (digits * max(known) for digits in (DIGITS, self._digits))
             # Rates of vertices that supports hold do not change, nor anything else at last.
-            if rtol == self._digits and (left <= least or moved <= DIGITS * size):
+            if rtol == self._digits and (left <= enough or moved <= DIGITS * size):
                 pressures = np.where(np.abs(rates) <= least, -multipliers / gaps.eps, 0.0)
                 return AdjointState(fields, scalars, pressures, self._iterations)
             before, off = fields, left / max(*known, np.finfo(float).tiny)
-            multipliers = mixing.next(multipliers, rates)
+            after = mixing.next(np.append(multipliers, cut), change)
+            multipliers, cut = np.split(after, [len(multipliers)])
         raise InputError(
             f"the adjoint was not found: contact has not settled in {_UZAWA} iterations",
             expected="`sweep`, or a stiffer contact",

@@ -8,6 +8,8 @@ an obstacle, or what supports prescribe, equations of s are work on such a motio
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from dolfin_elastic.core.parallel import total
@@ -42,10 +44,10 @@ class KeptGaps:
             for pair in self._pairs
         ]
 
-    def rates(
+    def way(
         self, fields: FloatArray, scalars: FloatArray, motion: FloatArray | None
-    ) -> tuple[FloatArray, FloatArray]:
-        """How gaps open along a motion, and how far it moves the vertices, both (n,) [m].
+    ) -> list[FloatArray]:
+        """A motion of all local nodes as each contact has it, shape (nodes * dim,) [m].
 
         Args:
             fields: Owned entries of free unknowns.
@@ -64,12 +66,35 @@ class KeptGaps:
             whole += motion
         way.scatter_forward()
         moved = way.array[self._entries].reshape(-1, assembler.problem.body.dim)
+        return [(moved - scalars @ shifts).ravel() for shifts in self._shifts]
+
+    def rates(self, way: Sequence[FloatArray]) -> tuple[FloatArray, FloatArray]:
+        """How gaps open along a motion, and how far it moves the vertices, both (n,) [m].
+
+        Args:
+            way: See `way`.
+        """
         rates, sizes = list[FloatArray](), list[FloatArray]()
-        for pair, gaps, shifts in zip(self._pairs, self._gaps, self._shifts, strict=True):
-            past = moved - scalars @ shifts
-            rates.append(gaps.rates(past.reshape(-1)))
-            sizes.append(np.linalg.norm(past[pair.nodes_of_displacement], axis=1))
+        dim = self._assembler.problem.body.dim
+        for pair, gaps, past in zip(self._pairs, self._gaps, way, strict=True):
+            rates.append(gaps.rates(past))
+            moved = past.reshape(-1, dim)[pair.nodes_of_displacement]
+            sizes.append(np.linalg.norm(moved, axis=1))
         return np.concatenate(rates), np.concatenate(sizes)
+
+    def left_out(self, way: Sequence[FloatArray], multipliers: FloatArray) -> FloatArray:
+        """What the tangent and `loads` leave out, owned entries of all unknowns.
+
+        Args:
+            way: See `way`; the work along it is differentiated.
+            multipliers: See `loads`.
+        """
+        result: FloatArray = np.zeros(self._assembler.size)
+        parts = np.split(multipliers, self._cuts)
+        for gaps, past, own in zip(self._gaps, way, parts, strict=True):
+            if (more := gaps.left_out(past, own)) is not None:
+                result += more
+        return result
 
     def loads(self, multipliers: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Derivatives of the gaps by fields and scalars, times multipliers.

@@ -24,7 +24,6 @@ from dolfin_elastic.solvers.nonlinear.adjoint import Adjoint, AdjointState
 from dolfin_elastic.solvers.nonlinear.newton import Newton
 from dolfin_elastic.solvers.statics.statics import Statics
 from dolfin_elastic.study.gradient.buckling import LinearState, Prebuckling, load_factors
-from dolfin_elastic.study.gradient.direct import Direct
 from dolfin_elastic.study.gradient.functionals import Functional, functionals
 from dolfin_elastic.study.gradient.modes import (
     AtRest,
@@ -95,14 +94,7 @@ class Gradients:
             )
         self.problem, self._of, self._probes = problem, asked.of, probes or {}
         self._functionals = self._numbers_of(problem)
-        self._by, self._direct = _By(asked, problem, case), has_no_adjoint(problem)
-        if self._direct and (asked.fields or asked.offsets):
-            raise InputError(
-                "there are no gradients by fields or the shape with contact between surfaces of "
-                "the mesh",
-                where="gradient",
-                expected="numbers of the case, with --by",
-            )
+        self._by = _By(asked, problem, case)
 
     def _numbers_of(self, problem: Problem) -> list[Functional]:
         return functionals(self._of, problem, self._probes)
@@ -115,18 +107,13 @@ class Gradients:
             state: What it has found; its time counts.
         """
         here = Equilibrium(newton, self._numbers_of, self._functionals, state.t)
-        solutions: list[AdjointState | None] = [None] * len(self._functionals)
         with here.kept(), closing(Adjoint(newton)) as adjoint:
             of_scalars = here.by_scalars()
             values, sides = self._by.sides(here)
-            if self._direct:
-                direct = Direct(here)
-                sides = [direct.total(side) for side in sides]
-            else:
-                solutions = [
-                    adjoint.solve(one.by_unknowns(here.assembler), row, one.motion())
-                    for one, row in zip(self._functionals, of_scalars, strict=True)
-                ]
+            solutions = [
+                adjoint.solve(one.by_unknowns(here.assembler), row, one.motion())
+                for one, row in zip(self._functionals, of_scalars, strict=True)
+            ]
             return self._by.gradients(here.assembler, self._functionals, values, sides, solutions)
 
 
@@ -227,11 +214,6 @@ def without_gradient(problem: Problem) -> str:
     elif problem.terms.dissipates or problem.terms.follows_path:
         what = "with friction, which depends on all steps before"
     return what
-
-
-def has_no_adjoint(problem: Problem) -> bool:
-    """Whether contact is between surfaces of the mesh: its tangent is not exact. Not collective."""
-    return any(pair.contact.between is not None for pair in problem.contact_pairs)
 
 
 @dataclass(frozen=True)

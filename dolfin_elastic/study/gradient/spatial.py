@@ -7,6 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import ufl
 from dolfinx import fem
+from dolfinx.fem.petsc import interpolation_matrix
 from ufl.core.expr import Expr
 
 from dolfin_elastic.core.errors import InputError, MeshError, nearest
@@ -23,6 +24,7 @@ from dolfin_elastic.model.values import PLACE
 from dolfin_elastic.problem.constraints.normals import surface_normals
 from dolfin_elastic.problem.material_regions import MaterialRegion
 from dolfin_elastic.problem.problem import Problem
+from dolfin_elastic.problem.terms.bodies.contact import BodyContact
 from dolfin_elastic.solvers.assembly.assembler import compiled, integral
 from dolfin_elastic.solvers.assembly.dofs import ConstrainedDofs
 from dolfin_elastic.solvers.nonlinear.adjoint import AdjointState
@@ -180,6 +182,7 @@ class Shape(_Field):
     def __init__(self, dofs: ConstrainedDofs, residual: ufl.Form | None = None) -> None:
         super().__init__(dofs, residual)
         problem = self.problem
+        self._between = [pair for pair in problem.contact_pairs if isinstance(pair, BodyContact)]
         known = [
             one
             for one in problem.loads
@@ -187,7 +190,10 @@ class Shape(_Field):
             and not any(isinstance(c, Formula) and c.names & PLACE for c in one.values)
         ]
         others: list[object] = [one for one in problem.loads if one not in known]
-        others += [*problem.terms, *([problem.cell] if problem.cell else [])]
+        others += [one for one in problem.terms if one not in self._between]
+        others += [problem.cell] if problem.cell else []
+        if self._between and problem.unknowns.degree < problem.body.mesh.geometry.cmap.degree:
+            others.append("contact of linear elements with curved faces")
         others += [one for one in problem.supports if _depends_on_place(one)]
         others += [
             f"{region.name}.{name}"
@@ -227,11 +233,34 @@ class Shape(_Field):
         for work, area, change in self._forces if adjoint is not None else ():
             share = integral(self.problem, work) / integral(self.problem, area)
             result += share * assembled(change, self.V)
+        if adjoint is not None and self._between:
+            result += self._of_contact(adjoint)
         if (own := functional.form) is not None:
             own_change = self._compiled(functional.name, lambda: self._by(own))
             result += functional.factor * assembled(own_change, self.V)
         further = functional.by_positions(self.V)
         return result if further is None else result + further
+
+    def _of_contact(self, adjoint: AdjointState) -> FloatArray:
+        """The same of the forces of contact between surfaces, and of its gaps. Collective."""
+        unknowns, u = self.problem.unknowns, self.problem.u
+        entries = unknowns.mixed_dofs(np.arange(len(u.x.array), dtype=np.int32))
+        motion = self.adjoint.x.array[entries]
+        start, parts = 0, []
+        for pair in self._between:
+            end = start + len(pair.nodes)
+            of_gaps = -pair.eps * adjoint.pressures[start:end]
+            parts.append(pair.by_positions(-motion, of_gaps).ravel())
+            start = end
+        matrix = interpolation_matrix(self.V, self.problem.V)
+        matrix.assemble()
+        x, y = matrix.createVecs()
+        y.array_w[:] = sum(parts)
+        matrix.multTranspose(y, x)
+        result = np.array(x.array_r)
+        for one in (matrix, x, y):
+            one.destroy()
+        return result
 
     def _by(self, form: ufl.Form) -> ufl.Form:
         return ufl.derivative(form, self._x, self._test)

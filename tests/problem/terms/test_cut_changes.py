@@ -99,7 +99,7 @@ class Pressed:
     def by_cut(self) -> float:
         """What the cut adds to that."""
         pair, pieces = self.pair, self.pair.pieces
-        changes = CutChanges(pair, pieces)
+        changes = CutChanges(pair, pieces, pair.state()[0])
         along = np.sum(pieces.there.normal * pieces.relative(self.a.ravel()), axis=2)
         follows = pair.state()[1] * pieces.areas * pieces.means(along[..., None])[:, 0]
         rows = changes.transposed(self.a.ravel(), self.b - follows)

@@ -11,12 +11,14 @@ from helpers.barriers import usable_ipctk
 from helpers.stacked import stacked
 from mpi4py import MPI
 
+from dolfin_elastic import Contact, Fixed, NeoHookean, Problem, Statics, Support, Traction
 from dolfin_elastic.case.case import Case
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.parallel import total
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.solvers.nonlinear.adjoint import Adjoint
-from dolfin_elastic.study.gradient.gradient import gradient
+from dolfin_elastic.study.gradient.gradient import Asked, Gradients, gradient
+from dolfin_elastic.study.gradient.spatial import nodes_moved
 
 STEP = 1e-4
 CLOSE = {"gap_tolerance": "1e-10 m"}
@@ -211,19 +213,21 @@ def test_two_bodies(name: str) -> None:
     compare(Case.from_dict({**TWO, **more}), of, keys, body)
 
 
+IN_SPACE = {
+    **TWO,
+    "mesh": {"box": {"size": [1, 1, 1], "cells": [2, 2, 2]}, "degree": 1},
+    "support": [{"on": "bottom"}, {"on": "top", "displacement": ["2 cm", 0, "-8 cm"]}],
+    "load": [],
+}
+
+
 @pytest.mark.long
 def test_two_bodies_in_space() -> None:
     """The same of faces that are triangles."""
     body = stacked(size=(1.0, 1.0, 0.8), lower=(2, 2, 1), upper=(3, 3, 1), shift=0.1, width=0.7)
-    tables = {
-        **TWO,
-        "mesh": {"box": {"size": [1, 1, 1], "cells": [2, 2, 2]}, "degree": 1},
-        "support": [{"on": "bottom"}, {"on": "top", "displacement": ["2 cm", 0, "-8 cm"]}],
-        "load": [],
-    }
     of = ("mean displacement_x on above", "reaction_z of bottom", "strain_energy")
     keys = ("materials.lower.E", "support[1].displacement[2]")
-    compare(Case.from_dict(tables), of, keys, body)
+    compare(Case.from_dict(IN_SPACE), of, keys, body)
 
 
 SKIN = {
@@ -286,12 +290,87 @@ def test_an_adjoint_takes_a_few_solutions(degree: int, monkeypatch: pytest.Monke
 
 
 def test_what_has_no_adjoint() -> None:
-    """Many parameters at once, and what depends on all steps before."""
+    """The shape beside an obstacle, and what depends on all steps before."""
     body = stacked(size=(1.0, 0.6), lower=(4, 3), upper=(5, 3))
-    with pytest.raises(InputError, match="no gradients by fields or the shape with contact"):
-        gradient(Case.from_dict(TWO), ["strain_energy"], fields=["materials.lower.E"], body=body)
+    with pytest.raises(InputError, match="no gradient by the shape with 'VertexContact'"):
+        gradient(Case.from_dict(on_a_rod(2)), ["strain_energy"], offsets=["bottom"])
     with pytest.raises(InputError, match="by 'contact.0..friction': friction depends on all"):
         gradient(Case.from_dict(on_a_rod(1)), ["strain_energy"], ["contact[0].friction"])
     rubbing = {**TWO, "contact": [{"between": ["above", "below"], "friction": 0.3}]}
     with pytest.raises(InputError, match="with friction, which depends on all steps before"):
         gradient(Case.from_dict(rubbing), ["strain_energy"], ["materials.lower.E"], body=body)
+
+
+@pytest.mark.parametrize(
+    ("more", "degree"),
+    [({}, 1), *(pytest.param(*one, marks=pytest.mark.long) for one in [({}, 2), (INSERTED, 2)])],
+)
+def test_the_shape_of_two_bodies(more: dict[str, Any], degree: int) -> None:
+    """Gaps, the cut and reference areas change, and gaps at the start that count as none."""
+    of = ("mean displacement_y on above", "strain_energy")
+    case = Case.from_dict({**TWO, **more, "mesh": {**TWO["mesh"], "degree": degree}})
+    # No ends of both sides coincide at the start, where their cut has a kink.
+    mesh = {"size": (1.0, 0.6), "lower": (4, 3), "upper": (5, 3), "shift": 0.04, "width": 0.9}
+    compare_shapes(case, of, ("left", "below"), mesh)
+
+
+@pytest.mark.long
+def test_the_shape_of_two_bodies_in_space() -> None:
+    """The same of faces that are triangles."""
+    mesh = {"size": (1.0, 1.0, 0.8), "lower": (2, 2, 1), "upper": (3, 3, 1)}
+    mesh |= {"shift": 0.1, "width": 0.7}
+    compare_shapes(
+        Case.from_dict(IN_SPACE), ("reaction_z of bottom", "strain_energy"), ("above",), mesh
+    )
+
+
+def compare_shapes(
+    case: Case, of: tuple[str, ...], offsets: tuple[str, ...], mesh: dict[str, Any]
+) -> None:
+    """See `compare`: surfaces of two bodies move along their normals."""
+    found = gradient(case, of, offsets=offsets, body=stacked(**mesh)).gradients
+
+    def values(surface: str, distance: float) -> np.ndarray:
+        body = stacked(**mesh)
+        body.mesh.geometry.x[:, : body.dim] += distance * nodes_moved(body, surface)
+        return np.array([one.value for one in gradient(case, of, body=body).gradients])
+
+    slopes = []
+    for surface in offsets:
+        first, second = (values(surface, k * STEP) - values(surface, -k * STEP) for k in (1, 2))
+        slopes.append((8 * first - second) / (12 * STEP))
+    told = np.array([[slope.value for slope in one.by] for one in found]).T
+    here = np.array([one.value for one in found])
+    error = np.abs(told - slopes)
+    assert np.all(error <= 1e-6 * np.maximum(np.abs(slopes), 0.1 * np.abs(here)))
+
+
+def test_a_cell_of_two_bodies() -> None:
+    """A constant in one cell: the law has an array of values in its place."""
+    of, where, found = "strain_energy", 3, []
+    body = stacked(size=(1.0, 0.6), lower=(4, 3), upper=(5, 3))
+    for factor in (1.0, 1 + STEP, 1 - STEP):
+        values = np.full(len(body.owned_cells()), 1e6)
+        if MPI.COMM_WORLD.rank == 0:
+            values[where] *= factor
+        problem = Problem(
+            body,
+            NeoHookean(E=values, nu=0.3),
+            supports=[Fixed(on="bottom"), Support(on="top", displacement=[0, "free"])],
+            loads=[Traction(on="top", value=[0.0, -1e5])],
+            contacts=[Contact(between=["above", "below"], gap_tolerance=1e-10)],
+            degree=1,
+        )
+        solver = Statics(problem, rtol=1e-12)
+        every = Gradients(Asked([of], fields=["materials.body.E"] if not found else []), problem)
+
+        def look(newton: Any, state: Any, every: Gradients = every) -> None:
+            if state.done >= 1.0:
+                found.extend(every.at(newton, state))
+
+        solver.observer = look
+        for _ in solver.steps():
+            pass
+    here, first, last = found
+    told = MPI.COMM_WORLD.bcast(here.cells["materials.body.E"][where] if here.cells else None)
+    assert told == pytest.approx((first.value - last.value) / (2 * STEP), rel=1e-6)

@@ -38,13 +38,20 @@ from dolfin_elastic.model.self_contact import AnyContact
 from dolfin_elastic.problem.constraints.ties.facets import longest_edge, owned
 from dolfin_elastic.problem.context import FormContext
 from dolfin_elastic.problem.term import Blocks, Kind
+from dolfin_elastic.problem.terms.bodies.cut_changes import CutChanges
 from dolfin_elastic.problem.terms.bodies.functions import PieceFunctions
 from dolfin_elastic.problem.terms.bodies.gaps import SurfaceGaps
 from dolfin_elastic.problem.terms.bodies.start import StartOffsets, overlap_reach
 from dolfin_elastic.problem.terms.contact.nodal import NodalContact
 from dolfin_elastic.problem.terms.contact.pair import ContactPair
 from dolfin_elastic.problem.terms.contact.surfaces import uniaxial_modulus
-from dolfin_elastic.problem.terms.contact.vertex import VertexContact, Way, blocks_between, stored
+from dolfin_elastic.problem.terms.contact.vertex import (
+    VertexContact,
+    VertexGaps,
+    Way,
+    blocks_between,
+    stored,
+)
 
 log = logging.getLogger("dolfin_elastic")
 
@@ -163,6 +170,43 @@ class BodyContact(SurfaceGaps):
     def curvatures(self) -> None:
         """See `VertexContact`: friction leaves the turn of normals out of its tangent."""
 
+    @property
+    def linearised(self) -> VertexGaps:
+        """See `Pressures`."""
+        return _BodyGaps(self)
+
+    def by_positions(self, motion: FloatArray, of_gaps: FloatArray) -> FloatArray:
+        """Derivatives by the places of the undeformed body at the present displacement. Collective.
+
+        Of the number of `CutChanges`; they may change the gaps at the start, too.
+
+        Args:
+            motion: At all local nodes, shape (nodes * dim,), along which no gap opens.
+            of_gaps: What the gap at each owned vertex counts, shape (n,).
+
+        Returns:
+            At owned nodes of the displacement, shape (nodes, dim).
+        """
+        pieces, blocks, start = self.pieces, self.blocks(), -of_gaps * self.offsets.slopes()
+        turned = np.einsum("nde,nd->ne", blocks.values, pieces.values(motion, blocks.rows))
+        result = CutChanges(self, pieces, self.state()[0]).by_positions(motion, of_gaps)
+        result += self._by_places(pieces, of_gaps) - pieces.to_owners(blocks.columns, turned)
+        if largest(self.comm, float(np.abs(start).max(initial=0.0))) > 0.0:
+            rest = pieces.at_rest()
+            cut = CutChanges(self, rest, np.zeros_like(start))
+            result += cut.by_positions(0 * motion, start) + self._by_places(rest, start)
+        return result
+
+    def _by_places(self, pieces: PieceFunctions, of_gaps: FloatArray) -> FloatArray:
+        """Derivatives of gaps by the places of nodes, with the cut as it is. Collective.
+
+        Args:
+            of_gaps: See `by_positions`.
+        """
+        weights = pieces.at_points((of_gaps / pieces.areas)[:, None])
+        rows = pieces.spread(weights * pieces.there.normal).reshape(-1, self._dim)
+        return rows[: pieces.node_owners.count]
+
     def _turning(self, pressures: FloatArray, gaps: FloatArray) -> Blocks:
         """Minus the derivative of the forces by the second variation of gaps. Collective.
 
@@ -193,6 +237,18 @@ class BodyContact(SurfaceGaps):
         V, MV = (values.reshape(count, rows, width) for values in (V, MV))
         K = (V.swapaxes(1, 2) @ MV).reshape(count, width // d, d, width // d, d)
         return blocks_between(pieces.nodes(some), K.transpose(0, 1, 3, 2, 4))
+
+
+class _BodyGaps(VertexGaps):
+    """See `LinearGaps`. Collective to make."""
+
+    def __init__(self, pair: BodyContact) -> None:
+        super().__init__(pair)
+        self._cut = CutChanges(pair, pair.pieces, pair.state()[0])
+
+    def left_out(self, motion: FloatArray, multipliers: FloatArray) -> FloatArray:
+        """See `LinearGaps`: what the cut changes."""
+        return self._cut.transposed(-motion, multipliers)
 
 
 def _carrier_first(

@@ -52,13 +52,15 @@ class _Cut(NamedTuple):
 
     Attributes:
         pairs: Those that have pieces here or after a step of y.
-        pieces: Of those that stay, and of others after each step, by whose length they count.
+        pieces: They, and behind them those of pairs where they differ after each step of y.
+        first: Which of them are there now.
         shares: Derivatives of the shares, shape (pieces, points, components of y).
         hats: Of the coordinates but the first, shape (pieces, points, d - 1, components of y).
     """
 
     pairs: Pairs
     pieces: Segments
+    first: BoolArray
     shares: FloatArray
     hats: FloatArray
 
@@ -98,17 +100,21 @@ def _changes(pairs: Pairs, chosen: BoolArray) -> _Cut:
     here = pieces(pairs, pairs.y)
     ends = [[pieces(pairs, pairs.y + sign * step) for step in steps] for sign in (1, -1)]
     stays = _stay(here, [*ends[0], *ends[1]], len(pairs.y))
-    first, last = ([one[stays[one.pair]] for one in side] for side in ends)
-    parts = [here[stays[here.pair]]]
-    shares = [_slopes([one.shares for one in first], [one.shares for one in last])]
-    hats = [_slopes(*([one.near_coordinates[..., 1:] for one in side] for side in (first, last)))]
+    sides = [[one[stays[one.pair]] for one in side] for side in ends]
+    parts, steady = [here], stays[here.pair]
+    shares = [np.zeros((*here.shares.shape, len(steps)))]
+    hats = [np.zeros((*here.shares.shape, d - 1, len(steps)))]
+    shares[0][steady] = _slopes(*([one.shares for one in side] for side in sides))
+    hats[0][steady] = _slopes(*([one.near_coordinates[..., 1:] for one in side] for side in sides))
     for sign, side in zip((1, -1), ends, strict=True):
         for k, one in enumerate(side):
             comes = one[~stays[one.pair]]
             parts.append(comes)
             shares.append(sign / (2 * STEP) * comes.shares[..., None] * np.eye(len(steps))[k])
             hats.append(np.zeros((*comes.shares.shape, d - 1, len(steps))))
-    return _Cut(pairs, joined(parts), np.concatenate(shares), np.concatenate(hats))
+    every = joined(parts)
+    first: BoolArray = np.arange(len(every.pair)) < len(here.pair)
+    return _Cut(pairs, every, first, np.concatenate(shares), np.concatenate(hats))
 
 
 def _stay(here: Segments, ends: Sequence[Segments], count: int) -> BoolArray:
@@ -133,11 +139,15 @@ class CutChanges:
     Args:
         pair: The contact with the forces and gaps of the number.
         functions: Of these, made of the pieces at the present displacement.
+        pressures: p_I at the owned vertices, shape (n,).
     """
 
-    def __init__(self, pair: VertexContact, functions: PieceFunctions) -> None:
+    def __init__(
+        self, pair: VertexContact, functions: PieceFunctions, pressures: FloatArray
+    ) -> None:
         functions.renew()
-        self._pair, self._functions, pairs = pair, functions, functions.pairs
+        self._pair, self._functions, self._pressures = pair, functions, pressures
+        pairs = functions.pairs
         self._cut = _changes(pairs, functions.near_enough)
         near, far, pieces = pairs.near, pairs.far, self._cut.pieces
         s, i, k = pieces.near_coordinates, pieces.near, near.nodes.shape[1]
@@ -165,24 +175,52 @@ class CutChanges:
             motion: a at all local nodes, shape (nodes * dim,).
             of_gaps: c_I at the owned vertices, shape (n,).
         """
-        functions, (pairs, _, of_shares, of_hats) = self._functions, self._cut
+        return of_unknowns(self._pair, self._by(motion, of_gaps)[0].ravel())
+
+    def by_positions(self, motion: FloatArray, of_gaps: FloatArray) -> FloatArray:
+        """Those by the places of the undeformed body, at owned nodes, shape (nodes, dim).
+
+        Of the cut and of reference areas. Collective.
+
+        Args:
+            motion: See `transposed`, as for the other one.
+        """
+        functions, here = self._functions, self._cut.first
+        rows, by_areas = self._by(motion, of_gaps)
+        pieces = self._cut.pieces[here]
+        X = functions.near.X[pieces.near]
+        slopes, _, dual = _tangents(pieces.near_coordinates, X)
+        weights = pieces.shares * by_areas[here]
+        of_X = np.einsum("nq,nqka,nqda->nkd", weights, slopes, dual)
+        if functions.about_axis:
+            N = shape_functions(pieces.near_coordinates, X.shape[1])
+            radii = np.einsum("nqk,nk->nq", N, X[..., 0])
+            of_X[..., 0] += np.einsum("nq,nqk->nk", weights / radii, N)
+        return rows + functions.to_owners(functions.pairs.near.nodes[pieces.near], of_X)
+
+    def _by(self, motion: FloatArray, of_gaps: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """By the cut, at owned nodes, and by the logarithms of the measures of points. Collective.
+
+        Args:
+            motion: See `transposed`, as for the other one.
+        """
+        functions, (pairs, pieces, _, of_shares, of_hats) = self._functions, self._cut
         c = np.where(functions.covered, of_gaps / functions.areas, 0.0)
         means = functions.means(functions.there.gap[..., None])[:, 0]
-        at_vertices = np.stack([self._pair.state()[0], c, -c * means], axis=1)
+        at_vertices = np.stack([self._pressures, c, -c * means], axis=1)
         p, c, areas = np.moveaxis(functions.at_vertices(at_vertices, functions.near.vertices), 2, 0)
         integrals = self._by_integrals(motion, p, c)
         integrals.m[:] += areas
-        by_shares, by_hats = self._by_points(motion, p, c, integrals)
+        by_areas, by_hats = self._by_points(motion, p, c, integrals)
+        by_shares = by_areas + integrals.share[pieces.near][:, None]
         by_y = np.einsum("nq,nqk->nk", by_shares, of_shares)
         by_y += np.einsum("nqa,nqak->nk", by_hats, of_hats)
         of_pairs = np.zeros((len(pairs.y), by_y.shape[1]))
-        np.add.at(of_pairs, self._cut.pieces.pair, by_y)
+        np.add.at(of_pairs, pieces.pair, by_y)
         sides = pairs.by_nodes(of_pairs.reshape(pairs.y.shape))
         nodes = pairs.near.nodes[pairs.near_facet], pairs.far.nodes[pairs.far_facet]
         forces = np.concatenate([functions.near.moved.T @ side for side in sides], axis=1)
-        return of_unknowns(
-            self._pair, functions.to_owners(np.concatenate(nodes, axis=1), forces).ravel()
-        )
+        return functions.to_owners(np.concatenate(nodes, axis=1), forces), by_areas
 
     def _by_integrals(self, motion: FloatArray, p: FloatArray, c: FloatArray) -> _ByIntegrals:
         """Of the number by what the duals are made of. Collective.
@@ -206,7 +244,9 @@ class CutChanges:
     def _by_points(
         self, motion: FloatArray, p: FloatArray, c: FloatArray, by: _ByIntegrals
     ) -> tuple[FloatArray, FloatArray]:
-        """Of the number by the shares and coordinates of the points of the pieces. Collective.
+        """Of the number by the places of all points, shapes (pieces, points, ...). Collective.
+
+        By the logarithms of their measures, over their shares, and by their coordinates.
 
         Args:
             p: See `_by_integrals`, as for c.
@@ -225,8 +265,14 @@ class CutChanges:
         slopes = (inner + s @ (M + M.swapaxes(1, 2))) @ np.vstack([-np.ones(d - 1), np.eye(d - 1)])
         slopes += (psi @ p[i][..., None]) * of_along + (psi @ c[i][..., None]) * self._of_gap
         slopes = self._of_area * f[..., None] + self._area[..., None] * slopes
-        shares = self._area * f + by.share[i][:, None]
-        return shares, self._cut.pieces.shares[..., None] * slopes
+        return self._area * f, self._cut.pieces.shares[..., None] * slopes
+
+
+def _tangents(s: FloatArray, X: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Slopes of the shape functions, tangents and dual tangents of faces at points."""
+    slopes = shape_slopes(s, X.shape[1])
+    t = np.einsum("nqka,nkd->nqda", slopes, X)
+    return slopes, t, t @ np.linalg.inv(t.swapaxes(-1, -2) @ t)
 
 
 def _growth(s: FloatArray, X: FloatArray, *, about_axis: bool) -> FloatArray:
@@ -237,11 +283,10 @@ def _growth(s: FloatArray, X: FloatArray, *, about_axis: bool) -> FloatArray:
         X: Nodes of the face of each piece, shape (pieces, nodes, d) [m].
         about_axis: Whether reference areas are those of rings.
     """
-    tangents = np.einsum("nqka,nkd->nqda", shape_slopes(s, X.shape[1]), X)
-    dual = tangents @ np.linalg.inv(tangents.swapaxes(-1, -2) @ tangents)
+    _, tangents, dual = _tangents(s, X)
     bends = np.einsum("kab,nkd->ndab", shape_bends(s.shape[2], X.shape[1]), X)
     result = np.einsum("nqda,ndab->nqb", dual, bends)
     if about_axis:
-        radius = np.einsum("nqk,nk->nq", shape_functions(s, X.shape[1]), X[..., 0])
-        result += tangents[:, :, 0] / radius[..., None]
+        radii = np.einsum("nqk,nk->nq", shape_functions(s, X.shape[1]), X[..., 0])
+        result += tangents[:, :, 0] / radii[..., None]
     return np.asarray(result)

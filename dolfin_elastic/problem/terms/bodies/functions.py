@@ -171,6 +171,7 @@ class PieceFunctions(VertexFunctions):
         self._u = context.unknowns.u if u is None else u
         S, V = pair.lam.function_space, context.unknowns.V
         self._context, self._pair, self._dim = context, pair, context.body.dim
+        self._sides = sides
         self._map, self._node_map = S.dofmap.index_map, V.dofmap.index_map
         self._owners = Owners(pair.comm, self._map.local_range[0], self._map.size_local)
         nodes = self._node_map
@@ -222,6 +223,13 @@ class PieceFunctions(VertexFunctions):
         near = self.near.at(u)
         far = opposite(self._pair.comm, near, self._far.at(u), reach)
         return pairs_of(near, far, reach, facing=True)
+
+    def at_rest(self) -> PieceFunctions:
+        """Those of the undeformed bodies. Collective."""
+        u = fem.Function(self._context.unknowns.V)
+        return PieceFunctions(
+            self._pair, self._context, self._sides, self.reach, self._thickness, u
+        )
 
     def farthest(self, motion: FloatArray) -> float:
         """By how much a motion of all local nodes moves both sides together [m]. Collective."""

@@ -40,6 +40,7 @@ class StartOffsets:
     def __init__(self, contact: Contact, S: fem.FunctionSpace) -> None:
         self._contact = contact
         self.field, self.fading, self._fixed, self._overlap = (fem.Function(S) for _ in range(4))
+        self._share = 0.0
 
     def take(self, nodes: IndexArray, gaps: FloatArray, edge: float) -> None:
         """Takes the mean gaps of the undeformed bodies. Collective.
@@ -51,8 +52,10 @@ class StartOffsets:
         """
         given = not isinstance(self._contact.interference, str)
         near = (1 + 1e-9) * (self._contact.adjust or (GAP * edge if given else 0.0))
-        self._fixed.x.array[nodes] = np.where(np.abs(gaps) <= near, gaps, 0.0)
-        self._overlap.x.array[nodes] = np.where(gaps < -near, gaps, 0.0)
+        counts, overlaps = np.abs(gaps) <= near, gaps < -near
+        self._fixed.x.array[nodes] = np.where(counts, gaps, 0.0)
+        self._overlap.x.array[nodes] = np.where(overlaps, gaps, 0.0)
+        self._counts, self._overlaps = counts & (near > 0.0), overlaps
         for one in (self._fixed, self._overlap):
             one.x.scatter_forward()
 
@@ -64,8 +67,13 @@ class StartOffsets:
             default: Amplitude where the contact has no curve.
         """
         share, added = self._contact.overlap_at(t, default)
+        self._share = share
         self.fading.x.array[:] = (1 - share) * self._overlap.x.array
         self.field.x.array[:] = self._fixed.x.array + self.fading.x.array + added
+
+    def slopes(self) -> FloatArray:
+        """Derivatives of the present offsets by the mean gaps that were taken, shape (n,)."""
+        return np.where(self._counts, 1.0, (1 - self._share) * self._overlaps)
 
 
 def overlap_reach(pieces: PieceFunctions, body: Body) -> float:

@@ -26,6 +26,7 @@ from dolfin_elastic.model.kinematics import WeightedMeasure
 from dolfin_elastic.problem.context import FormContext
 from dolfin_elastic.problem.term import Kind
 from dolfin_elastic.problem.terms.contact.pair import FAR, ContactPair
+from dolfin_elastic.problem.terms.contact.pressures import LinearGaps
 from dolfin_elastic.problem.terms.contact.step import pressure_of_step
 
 RULE = {"quadrature_rule": "vertex", "quadrature_degree": 1}
@@ -131,7 +132,7 @@ class NodalContact(ContactPair):
         return _ForceOfForm(self._context, force, self.penalty * self._measure)
 
 
-class _NodalGaps:
+class _NodalGaps(LinearGaps):
     """See `LinearGaps`. Collective to make."""
 
     def __init__(self, pair: NodalContact) -> None:

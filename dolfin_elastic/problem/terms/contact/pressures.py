@@ -90,6 +90,18 @@ class LinearGaps(Protocol):
             Owned entries of all unknowns [N].
         """
 
+    def left_out(self, motion: FloatArray, multipliers: FloatArray) -> FloatArray | None:
+        """What of derivatives by the unknowns the tangent and `spread` leave out. Collective.
+
+        Args:
+            motion: Of all local nodes; the work of contact along it is differentiated.
+            multipliers: At the owned vertices, by which the gaps count.
+
+        Returns:
+            Owned entries of all unknowns; None: nothing.
+        """
+        return None
+
 
 class Pressures(InSteps):
     """Gaps and pressures of one contact on one body. Collective to make.

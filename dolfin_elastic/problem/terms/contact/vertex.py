@@ -34,6 +34,7 @@ from dolfin_elastic.problem.terms.contact.bulges import FaceBulges
 from dolfin_elastic.problem.terms.contact.multipliers import RIGID, SETTLED, PressureIterate
 from dolfin_elastic.problem.terms.contact.nodal import RULE
 from dolfin_elastic.problem.terms.contact.pair import ContactPair
+from dolfin_elastic.problem.terms.contact.pressures import LinearGaps
 from dolfin_elastic.problem.terms.contact.surfaces import FACTOR
 from dolfin_elastic.problem.terms.contact.vertex_functions import VertexFunctions, blocks_of
 
@@ -334,9 +335,9 @@ class VertexContact(_Followed):
         return _ForceOfVertices(self, way)
 
     @property
-    def linearised(self) -> _VertexGaps:
+    def linearised(self) -> VertexGaps:
         """See `Pressures`."""
-        return _VertexGaps(self)
+        return VertexGaps(self)
 
 
 class VertexPressures(Multipliers):
@@ -451,7 +452,7 @@ def _measured(
     return gaps[rows].reshape(x.shape[:-1]), normals[rows].reshape(x.shape)
 
 
-class _VertexGaps:
+class VertexGaps(LinearGaps):
     """See `LinearGaps`."""
 
     def __init__(self, pair: VertexContact) -> None:
