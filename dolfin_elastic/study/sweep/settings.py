@@ -119,7 +119,6 @@ class Spread:
 def _normal(q: FloatArray) -> FloatArray:
     """Values below which fractions q of a standard normal distribution lie.
 
-    Python's own are the same to the last digit that is kept, and take no import of `scipy.stats`.
     A fraction of 0 or 1, which Sobol's points may have, lies eight deviations away.
     """
     inverse = NormalDist().inv_cdf
@@ -348,19 +347,12 @@ def _check(
 
 def _fractions(d: int, samples: int, sobol: int | None, seed: int) -> FloatArray:
     """Points of the unit cube, shape (runs, d)."""
-    rng = np.random.default_rng(seed)
-    if sobol is None and (d == 1 or samples > _FEW):
-        # What `qmc.LatinHypercube` draws, to the last digit, without its import of half a second.
-        rng = rng.spawn(1)[0]
-        within = rng.uniform(size=(samples, d))
-        ranks = np.tile(np.arange(1, samples + 1), (d, 1))
-        for column in ranks:
-            rng.shuffle(column)
-        return (ranks.T - within) / samples
     from scipy.stats import qmc
 
+    rng = np.random.default_rng(seed)
     if sobol is None:
-        cube = qmc.LatinHypercube(d, rng=rng, optimization="random-cd")
+        optimization = "random-cd" if d > 1 and samples <= _FEW else None
+        cube = qmc.LatinHypercube(d, rng=rng, optimization=optimization)
         return np.asarray(cube.random(samples))
     both = qmc.Sobol(2 * d, rng=rng).random(sobol)
     A, B = both[:, :d], both[:, d:]

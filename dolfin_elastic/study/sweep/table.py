@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import cached_property
+from itertools import compress
 from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -41,8 +42,8 @@ _USEFUL = 64
 _PAUSE = 99.0
 """Time between two tables over that which the first has taken."""
 _MOST_PANELS, _MOST_LINES = 6, 8
-_ACROSS, _DOWN, _BESIDE, _BELOW = 4.6, 3.0, 1.05, 0.8
-"""Size of a panel of the plot with what stands beside and below it, and of that alone [inches]."""
+_WIDTH, _HEIGHT, _GAP, _BESIDE, _BELOW = 3.6, 2.0, 0.2, 0.95, 0.55
+"""Size of a panel of the plot, what is between two, and room for names and numbers [inches]."""
 _INK = ("#1f5f8b", "#b0562f", "#228833", "#7a3e9d", "#c79a00", "#444444", "#0f9d9d", "#d0527a")
 
 
@@ -301,7 +302,9 @@ def _summary(results: Results) -> dict[str, object]:
 
 @plain_matplotlib()
 def draw(results: Results, path: Path) -> None:
-    """Each result over what varies most. Not collective.
+    """Each result over what varies most: of several settings a column each. Not collective.
+
+    Panels of a column have one abscissa, and of several settings those of a row one ordinate.
 
     Raises:
         OutputError: It cannot be written.
@@ -309,33 +312,35 @@ def draw(results: Results, path: Path) -> None:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    names = results.large[:_MOST_PANELS]
-    pairs = [(name, key) for name in names for key in _over(results)]
-    across = max(len(_over(results)), min(3, len(pairs)))
+    over = _over(results)
+    pairs = [(name, key) for name in results.large[:_MOST_PANELS] for key in over]
+    several = len(over) > 1
+    across = len(over) if several else min(3, len(pairs))
     down = -(-len(pairs) // across)
-    figure = Figure(figsize=(_ACROSS * across, _DOWN * down))
+    # A layout that measures names and numbers takes 30 ms a panel.
+    between = _GAP if several else _BESIDE
+    width = _BESIDE + across * _WIDTH + (across - 1) * between + _GAP
+    height = _BELOW + down * (_HEIGHT + _GAP)
+    figure = Figure(figsize=(width, height))
     FigureCanvasAgg(figure)
-    margins = _margins(across, down)
-    panels = figure.subplots(down, across, squeeze=False, gridspec_kw=margins).ravel()
-    for panel, pair in zip(panels, pairs, strict=False):
-        _panel(panel, results, *pair)
+    grid = figure.add_gridspec(
+        down,
+        across,
+        left=_BESIDE / width,
+        right=1 - _GAP / width,
+        bottom=_BELOW / height,
+        top=1 - _GAP / height,
+        wspace=between / _WIDTH,
+        hspace=_GAP / _HEIGHT,
+    )
+    panels = grid.subplots(sharex="col", sharey="row" if several else False, squeeze=False).ravel()
+    for n, (panel, pair) in enumerate(zip(panels, pairs, strict=False)):
+        lowest, first = n + across >= len(pairs), n % across == 0 or not several
+        _panel(panel, results, *pair, below=lowest, beside=first)
     for panel in panels[len(pairs) :]:
         panel.remove()
     with drafted(path) as draft:
         figure.savefig(draft, dpi=110, format=path.suffix[1:])
-
-
-def _margins(across: int, down: int) -> dict[str, float]:
-    """Room for numbers and names beside panels; a layout that measures them takes 30 ms a panel."""
-    width, height = _ACROSS - _BESIDE, _DOWN - _BELOW
-    return {
-        "left": 0.9 * _BESIDE / (_ACROSS * across),
-        "right": 1 - 0.1 * _BESIDE / (_ACROSS * across),
-        "bottom": 0.7 * _BELOW / (_DOWN * down),
-        "top": 1 - 0.3 * _BELOW / (_DOWN * down),
-        "wspace": _BESIDE / width,
-        "hspace": _BELOW / height,
-    }
 
 
 def _over(results: Results) -> list[str]:
@@ -346,10 +351,14 @@ def _over(results: Results) -> list[str]:
     return [max(settings, key=lambda one: len(one.values)).key]
 
 
-def _panel(panel: Axes, results: Results, name: str, key: str) -> None:
+def _panel(
+    panel: Axes, results: Results, name: str, key: str, *, below: bool, beside: bool
+) -> None:
+    """A result over a setting, with the name of the one below and that of the other beside."""
     short = short_names([one.key for one in results.design.settings])
-    rows = [row for row in results.rows if math.isfinite(row.numbers.get(name, math.nan))]
-    x, unit, words = _abscissae([row.values[key] for row in rows])
+    x, unit, words = _abscissae([row.values[key] for row in results.rows])
+    known = [math.isfinite(row.numbers.get(name, math.nan)) for row in results.rows]
+    x, rows = x[known], list(compress(results.rows, known))
     largest = max((abs(row.numbers[name]) for row in rows), default=0.0)
     factor, own = scaled_unit(largest, unit_of(name))
     scattered = bool(results.design.scatter)
@@ -373,8 +382,11 @@ def _panel(panel: Axes, results: Results, name: str, key: str) -> None:
         panel.margins(x=0.15)
     else:
         panel.locator_params(axis="x", nbins=5)
-    panel.set_xlabel(literal(f"{key} [{unit}]" if unit else key))
-    panel.set_ylabel(literal(f"{name} [{own}]" if own else name))
+    if below:
+        panel.tick_params(labelbottom=True)
+        panel.set_xlabel(literal(f"{key} [{unit}]" if unit else key))
+    if beside:
+        panel.set_ylabel(literal(f"{name} [{own}]" if own else name))
     panel.grid(color="#dde1e5")
     if panel.get_legend_handles_labels()[0]:
         panel.legend(fontsize=7)

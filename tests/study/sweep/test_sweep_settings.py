@@ -130,7 +130,7 @@ def test_a_latin_hypercube() -> None:
 
 @pytest.mark.parametrize(("columns", "samples"), [(1, 2), (1, 40), (3, 501)])
 def test_samples_are_those_of_scipy(columns: int, samples: int) -> None:
-    """To the last digit, of what is drawn without it: seeds keep their samples."""
+    """Its hypercube and its quantiles, to the digits of a case: seeds keep their samples."""
     cube = qmc.LatinHypercube(columns, rng=np.random.default_rng(7)).random(samples)
     settings = [read_setting(key, "normal(1, 0.5)") for key in "abc"[:columns]]
     rows = design(settings, samples=samples, seed=7).rows
