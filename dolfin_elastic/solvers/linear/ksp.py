@@ -92,6 +92,10 @@ CHANGE = {"displacement": 0.5, "mixed": 0.05}
 """Relative change of the tangent from which its preconditioner is set up anew: with pressures a
 changed tangent costs many more iterations."""
 
+CHANGE_FOR_DIGITS = 0.15
+"""The same where solves to eight digits follow: from there on one of them saves the 15 iterations
+of a set-up, where the displacement is the only unknown."""
+
 GROWTH = 1.2
 """Iterations a digit over those of the first solve from which it is, too."""
 
@@ -114,6 +118,7 @@ class Age:
 
     Attributes:
         kept: The preconditioner is of an earlier tangent than the last one.
+        limit: Change of the tangent from which it is too old.
     """
 
     def __init__(self, assembler: Assembler) -> None:
@@ -125,7 +130,7 @@ class Age:
         self._v.array_w[assembler.prescribed_dofs] = 0.0
         self._then: FloatArray | None = None
         kind = "mixed" if assembler.problem.unknowns.auxiliary_fields else "displacement"
-        self._change, self._spare, self._first = CHANGE[kind], SPARE[kind], 0.0
+        self.limit, self._spare, self._first = CHANGE[kind], SPARE[kind], 0.0
 
     def forget(self) -> None:
         """There is no preconditioner any more. Not collective."""
@@ -143,7 +148,7 @@ class Age:
         now = self._times(tangent)
         squares = np.array([np.sum((now - self._then) ** 2), np.sum(self._then**2)])
         off, size = total(self._assembler.comm, squares)
-        return not off <= self._change**2 * size  # no numbers count as a change
+        return not off <= self.limit**2 * size  # no numbers count as a change
 
     def served(self, iterations: int, digits: float) -> bool:
         """Whether a solve has taken no more iterations than a set-up saves. Not collective.
@@ -246,6 +251,23 @@ class LinearSolver:
             yield
         finally:  # SNES decides anew for those of its own
             pc.setReusePreconditioner(self._age is not None)
+
+    @contextmanager
+    def many_digits(self) -> Iterator[None]:
+        """A tangent that is taken meanwhile is for solves to many digits. Not collective.
+
+        Factors are left; a preconditioner is set up anew where such a solve gains by it.
+        """
+        age = self._age
+        limit = 0.0 if age is None else age.limit
+        with self.left_as_it_is():
+            if age is not None:
+                age.limit = min(limit, CHANGE_FOR_DIGITS)
+            try:
+                yield
+            finally:
+                if age is not None:
+                    age.limit = limit
 
     def factorise_each_tangent(self) -> None:
         """Makes a direct solver factorise each tangent, for quadratic convergence."""

@@ -76,8 +76,8 @@ class AdjointState:
 class Adjoint:
     """Solves with the transposed tangent of the present equilibrium. Collective; `close` it.
 
-    The tangent is assembled where the solve has ended; the factors or the preconditioner of
-    Newton's method, of a state one small step before, serve for it.
+    The tangent is assembled where the solve has ended; the factors of Newton's method, of a state
+    one small step before, serve for it, or its preconditioner, see `LinearSolver.many_digits`.
 
     Args:
         newton: After a solve that has converged; contacts keep what presses, see

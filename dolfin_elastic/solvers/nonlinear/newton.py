@@ -430,8 +430,8 @@ class Newton:
         """Assembles and factorises the tangent where the problem is. Collective.
 
         Args:
-            anew: Else the factors or the preconditioner of the tangent before are left, if there
-                are any.
+            anew: Else the factors of the tangent before are left, if there are any, and its
+                preconditioner, if it serves for many digits.
 
         Raises:
             InputError: See `solve`.
@@ -441,7 +441,7 @@ class Newton:
         with ExitStack() as left, self.options.in_force(), self.options.elastic_errors():
             left.enter_context(stage("solve"))
             if not anew:
-                left.enter_context(self.linear.left_as_it_is())
+                left.enter_context(self.linear.many_digits())
             self._tangent(self.snes, self._x, self._matrix, self._matrix)
             self.ksp.setOperators(self.assembler.tangent.matrix)
             self.ksp.setUp()
