@@ -3,10 +3,11 @@
     mpirun -n 2 python3 benchmarks/gradient.py [--cells 9 24] [--nu 0.3] [--degree 2] [--linear]
 
 A cantilever of neo-Hookean material, 2 x 1 x 1, under a traction at its end.  The adjoint of each
-of three numbers by itself, and of all together; the derivative by a constant of the material at
-fixed unknowns, and that by the constant in every cell; medians of three rounds in one state, in
-processor time of the first rank.  The first adjoint of a state may have a set-up of multigrid.  A step is the whole solve over its iterations.  With --linear
-the material is linear elastic, and the only step is solved as exactly as an adjoint.
+of three numbers by itself, and of all together; the set-up of multigrid, if the state's first one
+needs it; the derivative by a constant of the material at fixed unknowns, and that by the constant
+in every cell; medians of three rounds in one state, in processor time of the first rank.  A step is
+the whole solve over its iterations.  With --linear the material is linear elastic, and the only
+step is solved as exactly as an adjoint.
 """
 
 from __future__ import annotations
