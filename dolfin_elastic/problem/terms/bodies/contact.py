@@ -192,7 +192,9 @@ class BodyContact(SurfaceGaps):
         result = CutChanges(self, pieces, self.state()[0]).by_positions(motion, of_gaps)
         result += self._by_places(pieces, of_gaps) - pieces.to_owners(blocks.columns, turned)
         if largest(self.comm, float(np.abs(start).max(initial=0.0))) > 0.0:
-            rest = pieces.at_rest()
+            undeformed = fem.Function(self._context.unknowns.V)
+            given = self._context, self.sides, pieces.reach, pieces.thickness
+            rest = PieceFunctions(self, *given, undeformed)
             cut = CutChanges(self, rest, np.zeros_like(start))
             result += cut.by_positions(0 * motion, start) + self._by_places(rest, start)
         return result

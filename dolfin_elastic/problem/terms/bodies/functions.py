@@ -143,7 +143,7 @@ class PieceFunctions(VertexFunctions):
         u: The displacement; by default the present one.
 
     Attributes:
-        reach: As given.
+        reach: As given; the thickness, too.
         about_axis: The body is axisymmetric.
         share: Part of the area of each owned vertex that lies opposite something.
         covered: Of which of them enough does.
@@ -171,13 +171,12 @@ class PieceFunctions(VertexFunctions):
         self._u = context.unknowns.u if u is None else u
         S, V = pair.lam.function_space, context.unknowns.V
         self._context, self._pair, self._dim = context, pair, context.body.dim
-        self._sides = sides
         self._map, self._node_map = S.dofmap.index_map, V.dofmap.index_map
         self._owners = Owners(pair.comm, self._map.local_range[0], self._map.size_local)
         nodes = self._node_map
         self.node_owners = Owners(pair.comm, nodes.local_range[0], nodes.size_local)
         self.near, self._far = (Side(context, names, S) for names in sides)
-        self.reach, self._thickness, self.about_axis = reach, thickness, context.axisymmetric
+        self.reach, self.thickness, self.about_axis = reach, thickness, context.axisymmetric
         self.fading: fem.Function | None = None
         around = 2 * np.pi if context.axisymmetric else 1.0
         faces = Facets(self.near.X, self.near.nodes)
@@ -223,13 +222,6 @@ class PieceFunctions(VertexFunctions):
         near = self.near.at(u)
         far = opposite(self._pair.comm, near, self._far.at(u), reach)
         return pairs_of(near, far, reach, facing=True)
-
-    def at_rest(self) -> PieceFunctions:
-        """Those of the undeformed bodies. Collective."""
-        u = fem.Function(self._context.unknowns.V)
-        return PieceFunctions(
-            self._pair, self._context, self._sides, self.reach, self._thickness, u
-        )
 
     def farthest(self, motion: FloatArray) -> float:
         """By how much a motion of all local nodes moves both sides together [m]. Collective."""
@@ -301,7 +293,7 @@ class PieceFunctions(VertexFunctions):
         s, X, d = pieces.near_coordinates, self.near.X[pieces.near], self._dim
         tangents = np.einsum("nqka,nkd->nqda", shape_slopes(s, X.shape[1]), X)
         metric = np.linalg.det(tangents.swapaxes(-1, -2) @ tangents)
-        result: FloatArray = self._thickness * np.sqrt(metric) / (d - 1)
+        result: FloatArray = self.thickness * np.sqrt(metric) / (d - 1)
         if self.about_axis:
             result *= 2 * np.pi * np.einsum("nqk,nk->nq", shape_functions(s, X.shape[1]), X[..., 0])
         return result
