@@ -107,6 +107,9 @@ class Gradients:
             state: What it has found; its time counts.
         """
         here = Equilibrium(newton, self._numbers_of, self._functionals, state.t)
+        if not self._by.some:
+            values, none = here.evaluated().numbers, [None] * len(self._functionals)
+            return self._by.gradients(here.assembler, self._functionals, values, [], none)
         with here.kept(), closing(Adjoint(newton)) as adjoint:
             of_scalars = here.by_scalars()
             values, sides = self._by.sides(here)
@@ -118,7 +121,11 @@ class Gradients:
 
 
 class _By:
-    """All parameters together.  Collective."""
+    """All parameters together.  Collective.
+
+    Attributes:
+        some: There are any.
+    """
 
     def __init__(
         self,
@@ -129,6 +136,7 @@ class _By:
     ) -> None:
         self._asked, self._comm, self._residual = asked, problem.body.comm, residual
         self._parameters = parameters(asked.by, problem, case)
+        self.some = bool(asked.by or asked.fields or asked.offsets)
         self._cells: list[CellConstant] | None = None
         self._shape: Shape | None = None
         for key in asked.fields:
