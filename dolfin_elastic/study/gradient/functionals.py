@@ -300,11 +300,13 @@ def _functional(text: str, problem: Problem, probes: Mapping[str, Sequence[float
         return _energy(problem)
     kind = _COMPONENT.fullmatch(wanted.name)
     component = None if kind is None or kind[2] is None else "xyz".index(kind[2])
-    if component is not None and component >= problem.body.dim:
+    stem, _, axis = wanted.name.partition("_")
+    known = "xyz"[: problem.body.dim]
+    if stem in ("displacement", "reaction") and axis not in ("", *known):
         raise InputError(
-            f"a plane body has no component '{wanted.name}'",
+            f"the body has no component '{wanted.name}'",
             where=_OPTION,
-            expected=f"{wanted.name[:-1]}x or {wanted.name[:-1]}y",
+            expected=" or ".join(f"{stem}_{one}" for one in known),
         )
     if kind is not None and kind[1] == "reaction":
         return _reaction(text, wanted, problem, component)
@@ -334,7 +336,8 @@ def _functional(text: str, problem: Problem, probes: Mapping[str, Sequence[float
 
 
 def _known(problem: Problem, probes: Mapping[str, Sequence[float]]) -> list[str]:
-    return [*probes, *(name for named in problem.body.parts.values() for name in named)]
+    parts = (name for named in problem.body.parts.values() for name in named)
+    return list(dict.fromkeys([*probes, *parts]))
 
 
 def _energy(problem: Problem) -> Functional:

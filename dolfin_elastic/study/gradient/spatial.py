@@ -24,6 +24,7 @@ from dolfin_elastic.model.values import PLACE
 from dolfin_elastic.problem.constraints.normals import surface_normals
 from dolfin_elastic.problem.material_regions import MaterialRegion
 from dolfin_elastic.problem.problem import Problem
+from dolfin_elastic.problem.term import Term
 from dolfin_elastic.problem.terms.bodies.contact import BodyContact
 from dolfin_elastic.solvers.assembly.assembler import compiled, integral
 from dolfin_elastic.solvers.assembly.dofs import ConstrainedDofs
@@ -203,11 +204,14 @@ class Shape(_Field):
         ]
         if others or problem.constraints.combined or problem.unknowns.stabilised:
             what = others[0] if others else "a tie, an oblique support or a stabilised pressure"
-            named = what if isinstance(what, str) else type(what).__name__
+            named = f"'{what if isinstance(what, str) else type(what).__name__}'"
+            if isinstance(what, Term) and what.account == "contact":
+                named = f"contact of '{what.label}'"
             raise InputError(
-                f"there is no gradient by the shape with '{named}'",
+                f"there is no gradient by the shape with {named}",
                 where="--offset",
-                expected="tractions, total forces, pressures, gravity and fixed supports",
+                expected="tractions, total forces, pressures, gravity, fixed supports, and contact "
+                "between surfaces of the mesh",
             )
         mesh = problem.body.mesh
         self.V = _positions(problem.body)

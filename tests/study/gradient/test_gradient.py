@@ -540,6 +540,7 @@ def test_what_has_no_derivative() -> None:
         "percentile:95 von_mises on right"
     )
     assert "did you mean 'left'" in refused("reaction_x of lefft")
+    assert "; reaction_x or reaction_y or reaction_z" in refused("reaction_q of left")
     assert "did you mean" in refused("mean von_mises on rigth")
     for key in ("mesh.box.size[0]", "statics.rtol"):
         assert f"'{key}' is no number of a material" in refused("strain_energy", key)

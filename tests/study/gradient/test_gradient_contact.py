@@ -292,7 +292,7 @@ def test_an_adjoint_takes_a_few_solutions(degree: int, monkeypatch: pytest.Monke
 def test_what_has_no_adjoint() -> None:
     """The shape beside an obstacle, and what depends on all steps before."""
     body = stacked(size=(1.0, 0.6), lower=(4, 3), upper=(5, 3))
-    with pytest.raises(InputError, match="no gradient by the shape with 'VertexContact'"):
+    with pytest.raises(InputError, match="no gradient by the shape with contact of 'bottom'"):
         gradient(Case.from_dict(on_a_rod(2)), ["strain_energy"], offsets=["bottom"])
     with pytest.raises(InputError, match="by 'contact.0..friction': friction depends on all"):
         gradient(Case.from_dict(on_a_rod(1)), ["strain_energy"], ["contact[0].friction"])

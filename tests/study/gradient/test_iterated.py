@@ -153,7 +153,7 @@ def test_a_bent_body_has_a_preconditioner_of_its_own(monkeypatch: pytest.MonkeyP
             one = Adjoint(newton)
             counts.append(one.solve(iterated(newton)[0], np.zeros(0)).iterations)
             assert newton.linear.kept == (limit == 1.0)
-            one.destroy()
+            one.close()
 
     at_the_end(held("conjugate gradients"), "iterative", look)
     assert counts[1] < 0.85 * counts[0]
