@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 from petsc4py import PETSc
 
-from dolfin_elastic.core.compat import petsc_errors
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.petsc_options import PREFIX, PetscOptions, PetscValue
 from dolfin_elastic.core.signals import raise_if_agreed
@@ -448,39 +447,6 @@ class Newton:
             if self.bordered is not None:
                 self.bordered.eliminate()
 
-    def correction(
-        self, forces: FloatArray, equations: FloatArray
-    ) -> tuple[FloatArray, FloatArray]:
-        """A step with the tangent that `factorise` has assembled, to a tenth or so. Collective.
-
-        Args:
-            forces: Out-of-balance nodal forces, owned entries [N].
-            equations: Residuals of the scalar unknowns, in the order of `bordered.scalars`.
-
-        Returns:
-            The change of owned entries, and that of scalars.
-
-        Raises:
-            InputError: The linear solver has not converged.
-        """
-        ksp, b, x = self.snes.getKSP(), self._source.create_vector(), self._source.create_vector()
-        rows = self.assembler.free_part(self.assembler.collect(self.assembler.balanced(-forces)))
-        rows[self.assembler.fixed_pressures] = 0.0
-        if self.bordered is None:
-            b.array_w[:] = rows
-        else:
-            self.bordered.fill(b, rows, -equations)
-        with self.options.in_force(), petsc_errors(), self.linear.left_as_it_is():
-            self.ksp.setTolerances(rtol=_CORRECTION)
-            ksp.solve(b, x)
-        if (reason := ksp.getConvergedReason()) < 0:
-            raise InputError(f"the tangent's equations were not solved: {ksp_reason(reason)}")
-        fields = np.asarray(x.array_r[: self.assembler.size].copy())
-        scalars = np.zeros(0) if self.bordered is None else self.bordered.scalar_part(x)
-        b.destroy()
-        x.destroy()
-        return fields, scalars
-
     # --- from one run to the next ---
 
     def restart_state(self) -> dict[str, Any]:
@@ -520,9 +486,6 @@ class Newton:
         self._x.destroy()
         self._f.destroy()
 
-
-_CORRECTION = 1e-3
-"""Relative tolerance of `Newton.correction`, which others repeat."""
 
 _SNES: dict[str, PetscValue] = {
     "snes_type": "newtonls",
