@@ -175,6 +175,9 @@ class Adjoint:
         """Multipliers of nodal equations and of scalars, with the pressures as they are.
 
         Collective.
+
+        Raises:
+            InputError: Nothing holds what a scalar moves.
         """
         level, bordered, dofs = self._assembler.level, self._newton.bordered, self._assembler
         if level is not None:  # a change of the mean of an enclosed pressure is taken out again
@@ -191,7 +194,14 @@ class Adjoint:
             moved = np.array([bordered.prescribed_part(row) for row in rows])
             schur = bordered.corner.T - total(comm, columns @ (self._rows + moved).T)
             whole = fields - bordered.prescribed_part(derivative)
-            scalars = np.linalg.solve(schur, -of_scalars - total(comm, columns @ whole))
+            right = -of_scalars - total(comm, columns @ whole)
+            try:
+                scalars = np.linalg.solve(schur, right)
+            except np.linalg.LinAlgError:  # on all ranks alike
+                raise InputError(
+                    "the adjoint was not found: what a force moves presses on nothing here",
+                    expected="a state in which a support or contact holds it",
+                ) from None
             fields = fields - scalars @ self._rows
         if level is not None:  # the equations of enclosed pressures hold but for their mean
             fields = level.without_mean(fields, level.bodies)

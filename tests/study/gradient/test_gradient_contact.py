@@ -290,12 +290,16 @@ def test_an_adjoint_takes_a_few_solutions(degree: int, monkeypatch: pytest.Monke
 
 
 def test_what_has_no_adjoint() -> None:
-    """The shape beside an obstacle, and what depends on all steps before."""
+    """The shape beside an obstacle, a plate that no force presses, and what depends on the way."""
     body = stacked(size=(1.0, 0.6), lower=(4, 3), upper=(5, 3))
     with pytest.raises(InputError, match="no gradient by the shape with contact of 'bottom'"):
         gradient(Case.from_dict(on_a_rod(2)), ["strain_energy"], offsets=["bottom"])
     with pytest.raises(InputError, match="by 'contact.0..friction': friction depends on all"):
         gradient(Case.from_dict(on_a_rod(1)), ["strain_energy"], ["contact[0].friction"])
+    lifted = {**DROPPED, **CLOSE, "curve": [[0, 0], [0.5, 1], [1, 0]]}
+    plate = {**under_a_plate(1), "contact": [lifted], "statics": {"rtol": 1e-12, "steps": 2}}
+    with pytest.raises(InputError, match="what a force moves presses on nothing here"):
+        gradient(Case.from_dict(plate), ["strain_energy"], ["materials.gel.E"])
     rubbing = {**TWO, "contact": [{"between": ["above", "below"], "friction": 0.3}]}
     with pytest.raises(InputError, match="with friction, which depends on all steps before"):
         gradient(Case.from_dict(rubbing), ["strain_energy"], ["materials.lower.E"], body=body)
