@@ -362,7 +362,7 @@ class PieceFunctions(VertexFunctions):
         found = self.values(field, self._numbers)
         if not turned:
             return np.asarray(self.shapes @ found)
-        along = self.there.normal @ self._far_half(found).swapaxes(1, 2)
+        along = self.there.normal @ _far_half(found).swapaxes(1, 2)
         turns = along[:, :, None] @ self.there.slopes @ self._levers.swapaxes(2, 3)
         return np.asarray(self.shapes @ found + turns[:, :, 0])
 
@@ -391,15 +391,11 @@ class PieceFunctions(VertexFunctions):
         at_nodes, there = self.shapes.swapaxes(1, 2) @ vectors, self.there
         if turned:
             turns = vectors[:, :, None] @ self._levers @ there.slopes.swapaxes(2, 3)
-            self._far_half(at_nodes)[:] += turns[:, :, 0].swapaxes(1, 2) @ there.normal
+            _far_half(at_nodes)[:] += turns[:, :, 0].swapaxes(1, 2) @ there.normal
         added = self.to_owners(self._numbers, at_nodes)
         result = np.zeros((self._node_map.size_local + self._node_map.num_ghosts, self._dim))
         result[: len(added)] = added
         return result.reshape(-1)
-
-    def _far_half(self, of_nodes: FloatArray) -> FloatArray:
-        """What of values at the nodes of both sides is that of the other side: a view."""
-        return of_nodes[:, of_nodes.shape[1] // 2 :]
 
     def to_owners(self, nodes: IntArray, vectors: FloatArray) -> FloatArray:
         """Sums vectors at global nodes, at those that this rank owns, (nodes, dim). Collective."""
@@ -430,6 +426,11 @@ class PieceFunctions(VertexFunctions):
     def nodes(self, which: BoolArray) -> IntArray:
         """See `VertexFunctions`: of both sides."""
         return np.asarray(self._numbers[which])
+
+
+def _far_half(of_nodes: FloatArray) -> FloatArray:
+    """What of values at the nodes of both sides is that of the other side: a view."""
+    return of_nodes[:, of_nodes.shape[1] // 2 :]
 
 
 def relative_shapes(near: FloatArray, far: FloatArray, count: int) -> FloatArray:
