@@ -166,8 +166,10 @@ class Adjoint:
     def _solving(self, rtol: float) -> Iterator[None]:
         """Inside, systems are solved to this tolerance."""
         self._ksp.setTolerances(rtol=rtol)
-        yield
-        self._ksp.setTolerances(rtol=self._digits)
+        try:
+            yield
+        finally:
+            self._ksp.setTolerances(rtol=self._digits)
 
     def _bordered(
         self, derivative: FloatArray, of_scalars: FloatArray

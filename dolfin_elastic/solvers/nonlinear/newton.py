@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 from petsc4py import PETSc
 
-from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.petsc_options import PREFIX, PetscOptions, PetscValue
 from dolfin_elastic.core.signals import raise_if_agreed
 from dolfin_elastic.core.timing import stage

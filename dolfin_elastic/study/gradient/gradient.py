@@ -50,7 +50,6 @@ from dolfin_elastic.study.gradient.table import Derivative, Gradient, GradientTa
 from dolfin_elastic.study.gradient.taylor import with_orders
 from dolfin_elastic.study.quiet import quietly
 
-
 CLOSED = 1e-6
 """Gap that a solution leaves over the height of the elements, without the user's word: the gradient
 is that of no gap at all, and by the default a slender number is off by a percent."""
