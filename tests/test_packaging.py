@@ -50,6 +50,7 @@ def imported(folder: str) -> set[str]:
     return found - sys.stdlib_module_names - {"dolfin_elastic"}
 
 
+@pytest.mark.long
 def test_dependencies_are_the_imports() -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     declared = {re.split(r"[<>=~! \[]", line)[0] for line in project["dependencies"]}

@@ -583,6 +583,7 @@ def test_a_changed_mesh_is_refused(folder: Path) -> None:
     kill(states)
 
 
+@pytest.mark.long
 @ALONE
 def test_a_case_of_functions(folder: Path) -> None:
     """What cannot be written down must be given again."""

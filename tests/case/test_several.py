@@ -216,6 +216,7 @@ def test_numbers_count_what_is_left_out(
     assert heads == ["statics (1 of 4)", "buckling (3 of 4)", "dynamics (4 of 4)"]
 
 
+@pytest.mark.long
 def test_commands(
     folder: Path,
     comm: MPI.Comm,

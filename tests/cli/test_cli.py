@@ -126,6 +126,7 @@ def test_names_that_no_file_can_have(folder: Path, words: str) -> None:
     assert re.search(r"xxx.*: file name too long", err)
 
 
+@pytest.mark.long
 def test_check_as_json(folder: Path) -> None:
     """Scripts get numbers."""
     code, out, _ = cli("check", "case.toml", "--json", folder=folder, ranks=2)
@@ -277,6 +278,7 @@ def test_motion(folder: Path) -> None:
     assert not (folder / "case_results").exists()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("ranks", [1, 2])
 def test_no_solution(folder: Path, ranks: int) -> None:
     """Exit code 3, the reason on screen and in the summary, results so far complete."""
@@ -342,6 +344,7 @@ def piped(end: str, folder: Path) -> tuple[str, str]:
     return out, err
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("redirect", ["", "2>&1"])
 def test_nobody_reads_on(folder: Path, redirect: str) -> None:
     """Where a pipe is closed, as `head` does, the run goes on to its own end, silently."""

@@ -98,6 +98,7 @@ main()
 MOTION = {"end": "20 ms", "dt": "4 ms"}
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("signals", [2, 1])
 @pytest.mark.parametrize(
     "analysis",
@@ -177,6 +178,7 @@ def test_the_third_signal_ends_at_once(tmp_path: Path) -> None:
     assert summary(tmp_path / "case_results")["status"] == "stopped"
 
 
+@pytest.mark.long
 def test_sigusr1_makes_a_checkpoint(tmp_path: Path) -> None:
     """And the run goes on, whatever is done to it afterwards; options of solvers go on, too."""
     write_case(tmp_path, 5000, time="1 h")
@@ -343,6 +345,7 @@ def test_two_that_begin_at_once(tmp_path: Path) -> None:
     assert summary(tmp_path / "case_results")["status"] == "completed"
 
 
+@pytest.mark.long
 def test_an_explicit_motion_is_stopped_before_its_first_output(tmp_path: Path) -> None:
     """It tells of itself in a pipe, has a checkpoint of its last step, and goes on from it."""
     tables: dict[str, Any] = case(

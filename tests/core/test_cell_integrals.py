@@ -125,6 +125,7 @@ def test_laws(name, degree):
     check(Problem(body, law, degree=degree, formulation="displacement"), within=within)
 
 
+@pytest.mark.long
 def test_several_materials():
     """One integral each, with cells of its own."""
     body = name_parts(
@@ -153,6 +154,7 @@ def test_another_coefficient_is_packed():
     assert not can_be_packed(along_edges, problem.w)
 
 
+@pytest.mark.long
 def test_a_load_that_varies_leaves_the_law_in_the_loop():
     """Each term of a form goes its own way."""
     body = box_body(size=(1.0, 0.8, 0.6), cells=(2, 2, 2))

@@ -304,6 +304,7 @@ def test_a_default_size_that_gmsh_cannot_mesh_is_changed(folder: Path) -> None:
         read_body(folder / "tube.brep", size=0.25)
 
 
+@pytest.mark.long
 def test_cells_that_are_large_for_a_small_fillet_are_told_with_their_place(folder: Path) -> None:
     """Cells of 9.4 mm at a fillet of 5 mm, in walls of 6 mm: only the number of straight ones was.
 

@@ -108,6 +108,7 @@ def test_coarse_facets_of_a_thin_shell_are_on_their_own_side(
     assert len(parts["both"]) == len(radius)
 
 
+@pytest.mark.long
 def test_straight_cells_of_a_torus_keep_its_triangles() -> None:
     plc = alone(torus(1, 0.6, n=10))
     file = filled(plc, size=1.5, curved=False)

@@ -176,6 +176,7 @@ def test_messages(folder: Path, refine, message) -> None:
         body_of(folder, mesh)
 
 
+@pytest.mark.long
 def test_messages_of_cad_files(folder: Path) -> None:
     """A name that does not exist is answered by the faces that it may mean."""
     write(folder / "angle.step", angle)
@@ -248,6 +249,7 @@ def test_the_peak_at_a_fillet_is_that_of_a_mesh_that_is_fine_everywhere(folder: 
     assert unknowns[1] < 0.6 * unknowns[0]
 
 
+@pytest.mark.long
 def test_the_number_of_cells_is_known_before(folder: Path) -> None:
     """Of what is refused it need only be right to a factor, 2 here; a slip in the unit is 1000."""
     write(folder / "angle.step", angle)

@@ -222,6 +222,7 @@ def _ones(problem: Problem) -> fem.Function:
     return ones
 
 
+@pytest.mark.long
 def test_weight_of_a_region_with_varying_density() -> None:
     body = halves(bar(4))
     laws = {
@@ -279,6 +280,7 @@ def test_another_formula_compiles_nothing() -> None:
         assert one == other
 
 
+@pytest.mark.long
 def test_the_cache_does_not_grow(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Counted in the folder itself, through solves with other formulas and numbers."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(folder))

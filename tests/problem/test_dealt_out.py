@@ -105,6 +105,7 @@ CASES: dict[str, Any] = {
 }
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", CASES)
 def test_statics(name: str) -> None:
     """Displacements and reactions to the tolerance of the solver."""

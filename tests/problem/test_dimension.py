@@ -76,6 +76,7 @@ def lateral(problem: Problem) -> float:
     return 1 + low + comm.allreduce(float(moved.max(initial=0.0)), op=MPI.MAX)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("degree", [1, 2])
 @pytest.mark.parametrize(("kind", "stretch"), UNIAXIAL)
 def test_plane_stress_solves_for_the_thickness(kind, stretch, degree):
@@ -101,6 +102,7 @@ def test_plane_strain_holds_it(kind, stretch):
     assert state.reactions["right"][0] == pytest.approx(P11, rel=1e-10)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("degree", [1, 2])
 def test_plane_stress_of_an_incompressible_sheet(degree):
     """P11 = mu (s - s^-2), s the stretch: the pressure is found with the thickness."""

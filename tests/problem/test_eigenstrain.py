@@ -116,6 +116,7 @@ def test_bar_between_walls():
     assert state.reactions["right"][0] == pytest.approx(-E * STRAIN, rel=1e-11)
 
 
+@pytest.mark.long
 def test_large_growth_held():
     """St. Venant-Kirchhoff that grew by g all around and is held: Fe = I/g, Jg = g^3, so
     P = g^3 g^-1 Fe S(Fe), S = (3 lmbda + 2 mu) (g^-2 - 1)/2 I.
@@ -264,6 +265,7 @@ def test_warmth_may_jump_between_cells(degree):
     assert largest(problem, problem.u.x.array.reshape(-1, 2)[:, 0] - exact) < 1e-13
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("scheme", ["central-differences", "newmark"])
 def test_warmth_by_a_formula_in_place_and_time(scheme):
     """As by a formula in place and a curve: in motion values are taken anew at each time."""

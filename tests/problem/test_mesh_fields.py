@@ -85,6 +85,7 @@ def case(key: str = "load", **row: Any) -> Case:
     return Case.from_dict(tables)
 
 
+@pytest.mark.long
 def test_vectors_of_a_plane_body_may_have_two_components() -> None:
     """As those of DOLFINx and of scripts; ParaView's have three."""
     on = body(2)

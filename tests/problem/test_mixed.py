@@ -124,6 +124,7 @@ class _Pull(Balancing):
         return ufl.inner(sigma * ufl.FacetNormal(mesh), context.v) * area
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("degree", "cells", "expected"), [(1, (10, 20, 40), (2, 1, 1.5)), (2, (6, 12, 24), (3, 2, 2))]
 )
@@ -173,6 +174,7 @@ def middle_of_the_end(n: int, load: float = 6.25, **how: Any) -> float:
 COOK = 6.962
 
 
+@pytest.mark.long
 def test_cook_membrane_locks_and_does_not_lock():
     """Both linear elements on one mesh; then Taylor-Hood towards the reference.
 
@@ -264,6 +266,7 @@ def test_torsion_of_an_incompressible_cylinder(comm, folder):
 # --- the same answer by other ways ---
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("degree", [1, 2])
 @pytest.mark.parametrize("law", [LinearElastic, StVenantKirchhoff, NeoHookean])
 def test_a_homogeneous_state_is_exact(law, degree):
@@ -613,6 +616,7 @@ def test_a_confined_body_carries_its_load_at_once(degree, how):
     assert [state.audit.verdict for state in states] == ["pass"] * 6  # no energy to speak of
 
 
+@pytest.mark.long
 def test_a_ring_that_is_opened_knows_its_acceleration():
     """r r' = C and free sides: C' = C^2 (1/a^2 - 1/b^2)/(2 ln(b/a)), r'' = C'/r - C^2/r^3.
 

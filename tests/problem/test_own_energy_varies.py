@@ -125,6 +125,7 @@ def test_a_field_of_the_mesh_with_its_unit() -> None:
     assert tip(body, law, 1) == pytest.approx(expected, rel=1e-12)
 
 
+@pytest.mark.long
 def test_a_split_energy_may_use_functions() -> None:
     body = beam()
     mu = modulus(body, 1)

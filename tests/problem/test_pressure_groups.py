@@ -94,6 +94,7 @@ def test_two_layers(dim, nu, method):
     assert state.audit.verdict == "pass"
 
 
+@pytest.mark.long
 def test_iterations_are_those_of_one_pressure(monkeypatch):
     """The solver does not see that nodes are doubled."""
     counts = []
@@ -179,6 +180,7 @@ def test_transfer_to_a_finer_mesh():
         assert found == pytest.approx(known, rel=1e-9)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("nu", [0.4999, 0.5])
 @pytest.mark.parametrize("dim", [2, 3])
 def test_a_periodic_laminate(dim, nu):

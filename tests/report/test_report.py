@@ -184,6 +184,7 @@ def test_in_a_notebook(folders: Any, tmp_path: Path, monkeypatch: pytest.MonkeyP
     assert len(attributes["srcdoc"] or "") == len((tmp_path / "page.html").read_text("utf-8"))
 
 
+@pytest.mark.long
 @pytest.mark.sample(2)
 @pytest.mark.parametrize("kind", ["statics", "failed", "plane", "dynamics", "modal", "buckling"])
 def test_page(folders: Any, kind: str, tmp_path: Path) -> None:
@@ -228,6 +229,7 @@ def check_words(page: Page, summary: dict[str, Any], kind: str) -> None:
         assert "factors on all loads at which it buckles" in page.text
 
 
+@pytest.mark.long
 def test_several_runs_on_one_page(
     folders: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -79,6 +79,7 @@ def barycentres(problem: Problem) -> Any:
     return mesh.geometry.x[mesh.geometry.dofmap[:own]].mean(axis=1)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("degree", [1, 2])
 def test_rotation_by_hand(degree: int) -> None:
     """Q sigma Q^T and Q u with Q by the definition of the axes: to round-off of the largest."""

@@ -118,6 +118,7 @@ def test_homogeneous_deformation(law: type[Law], dim: int, degree: int) -> None:
         assert worst(values[name] - right) < 1e-9 * E_MODULUS, name
 
 
+@pytest.mark.long
 def test_every_law_has_stresses() -> None:
     body = make_body(3)
     for law in MATERIALS.values():

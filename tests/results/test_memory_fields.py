@@ -63,6 +63,7 @@ def confined() -> float:
     return (2 * mu * STRAIN - YIELD) / (3 * mu + SLOPE)
 
 
+@pytest.mark.long
 def test_each_state_has_what_was_committed() -> None:
     """0 at the start, and in the other material."""
     problem = pulled()
@@ -92,6 +93,7 @@ def test_a_component_and_a_reduction() -> None:
     assert along.of(last).value == pytest.approx(confined() / 2, rel=1e-9)
 
 
+@pytest.mark.long
 def test_any_variable_is_a_field(folder: Path) -> None:
     """Of a law of one's own, by the names of its variables; the start is a state, too."""
     supports = [

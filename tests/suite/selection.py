@@ -79,6 +79,7 @@ POINTS = {
     "model/materials/test_viscous.py",
     "model/point/test_material_point.py",
     "model/point/test_stable_range.py",
+    "model/point/test_time_curves.py",
     "model/test_amplitude.py",
     "model/test_discrete_gradient.py",
     "model/test_kinematics.py",
@@ -257,8 +258,9 @@ ENDURING = ("fifty_periods", "test_second_order", "to_second_order")
 that wait for each other take minutes each: on one rank only; the steps are the same on several."""
 QUICK = 1
 """Parameters of each test in the quick set, unless it says so itself."""
-PLENTY = 4
-"""Parameters of each test on one rank in the rest, except of TEXTS: all of them by --all."""
+PLENTY, PLENTY_OF_LONG = 4, 2
+"""Parameters of each test on one rank in the rest, and of a `long` one, except of TEXTS: all of
+them by --all."""
 TEXTS = {
     "case/reference/test_json_schema.py",
     "case/test_case.py",
@@ -271,9 +273,9 @@ TEXTS = {
     "test_readme.py",
 }
 """Tests of pages, messages and words, each of which takes milliseconds: all run in the rest."""
-MOST, MOST_OF_LAWS = 2, 1
-"""Parameters of each test on several ranks, and of one of LAWS: longer lists are of laws, bodies
-and words, in which ranks take no part; all run by --all."""
+MOST = 1
+"""Parameters of each test on several ranks: longer lists are of laws, bodies and words, in which
+ranks take no part; they take turns, and all run by --all."""
 
 
 def runs_on(file: str, ranks: int) -> bool:
@@ -427,7 +429,7 @@ def _on_ranks(items: list[pytest.Item], ranks: int, turn: str) -> list[pytest.It
             for item in group
             if (on_three and item.get_closest_marker("long") is None) == (ranks > 2)
         ]
-        found |= set(map(id, _spread(mine, MOST_OF_LAWS if file in LAWS else MOST, turn)))
+        found |= set(map(id, _spread(mine, MOST, turn)))
     return [item for item in items if id(item) in found]
 
 
@@ -470,6 +472,8 @@ def _least_alike(group: list[pytest.Item], most: int) -> list[pytest.Item]:
 def _plenty(group: list[pytest.Item], turn: str) -> list[pytest.Item]:
     if _file(group[0]) in TEXTS:
         return group
+    if group[0].get_closest_marker("long"):
+        return _spread(group, PLENTY_OF_LONG, turn)
     return _spread(group, max(PLENTY, _sample(group[0])), turn)
 
 

@@ -92,6 +92,7 @@ def test_a_bush_finer_and_nearly_incompressible(folder, size, material):
     assert top == pytest.approx(11.1e3, rel=0.02)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("law", ["neo-hookean", "mooney-rivlin"])
 def test_azimuthal_shear_of_an_annulus(folder, law):
     """The outside turns by 1 rad about the inside: M = 4 pi mu psi/(1/a^2 - 1/b^2), W = M psi/2.

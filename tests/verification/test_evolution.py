@@ -408,6 +408,7 @@ def test_regions_of_unlike_memories() -> None:
     assert found[1] == pytest.approx(found[0], rel=1e-10, abs=1e-11)
 
 
+@pytest.mark.long
 def test_an_elastic_preload_has_not_yielded() -> None:
     """Forces on the history are not zero there, the history is."""
     problem = held(law_of({**J2, "density": 7800.0}), 1e-4)

@@ -165,6 +165,7 @@ METALS = {
 }
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", METALS)
 def test_metals_yield_and_spring_back(name: str) -> None:
     """What is dissipated is missing in the motion, and a restart goes on to round-off."""

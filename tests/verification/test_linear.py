@@ -182,6 +182,7 @@ def pulled_ring(folder: Any, n: int) -> tuple[list[float], dict[str, float]]:
     return [np.sqrt(integral(problem, f)) for f in compile_forms(comm, forms, problem.jit)], numbers
 
 
+@pytest.mark.long
 def test_kirsch_rates(folder):
     """Quadratic cells along a curved boundary: third order in u, second in its gradient."""
     cells = np.array([6, 12, 24])

@@ -299,6 +299,7 @@ def test_mullins_of_an_incompressible_rubber(K: float) -> None:
         assert found == pytest.approx(expected, rel=error, abs=error * MU)
 
 
+@pytest.mark.long
 def test_a_count_of_steps_and_time() -> None:
     """Every accepted step counts once, and the time is that of the run; the body ages at rest."""
     table = {

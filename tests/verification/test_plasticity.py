@@ -104,6 +104,7 @@ class Bar:
         return E * (strain - self.p)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("kinematic", [0.0, 5e9])
 @pytest.mark.parametrize("name", HARDENING)
 def test_a_bar_is_pulled_and_pressed(name: str, kinematic: float) -> None:
@@ -138,6 +139,7 @@ def test_a_bar_at_large_strains(name: str, kinematic: float) -> None:
     assert bar.a > 0.4
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("keys", [{"geometry": "plane-stress"}, {"formulation": "mixed"}])
 def test_other_formulations(keys: dict[str, Any]) -> None:
     """The stretch out of the plane, or a pressure, is an unknown beside."""
@@ -454,6 +456,7 @@ def test_large_steps_of_a_bent_beam_are_no_jump() -> None:
     assert all(state.audit is None or not state.audit.reasons for state in states)
 
 
+@pytest.mark.long
 def test_a_limit_load_is_told() -> None:
     """A cantilever under twice the force of its plastic hinge: why it ends, and what to do."""
     body = rectangle_body(size=(8, 1), cells=(16, 4))

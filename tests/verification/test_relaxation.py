@@ -435,6 +435,7 @@ def test_motion_to_second_order(scheme: str) -> None:
     assert off[2] < 2e-3
 
 
+@pytest.mark.long
 def test_an_initial_displacement_is_sudden() -> None:
     """What is strained at the start relaxes from there, to second order: not over a first step."""
     body = box_body(size=(1, 1, 1), cells=(1, 1, 1))
@@ -472,6 +473,7 @@ def test_a_motion_goes_on() -> None:
 # --- where no time passes ---
 
 
+@pytest.mark.long
 def test_modes_are_those_of_a_sudden_load() -> None:
     def frequencies(law: Any) -> list[float]:
         body = box_body(size=(2, 1, 1), cells=(2, 1, 1))

@@ -141,6 +141,7 @@ def test_sphere_beyond_its_limit_point(folder, material):
 TUBE = {1.1: 0.131562278444, 1.25: 0.275711536803, 1.5: 0.428228409097, 2.0: 0.574053572307}
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("stretch", [1.25, 2.0])
 def test_tube_blown_up(folder, stretch):
     """In plane strain the pressure grows without a limit point."""

@@ -92,6 +92,7 @@ def test_iterative_solvers_agree_with_pivots(case: buckling.Case, share: float):
         assert np.all(np.isfinite(verdict.direction))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("method", ["direct", "lu", "iterative"])
 @pytest.mark.parametrize("share", [1 - NEAR, 1 + NEAR, 1.3])
 def test_two_equal_modes_are_met(method: str, share: float):
@@ -168,6 +169,7 @@ BEYOND = {
 """Bodies, and the least displacement [m] of what bends at 1.5 times the critical load."""
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("method", ["direct", "iterative"])
 @pytest.mark.parametrize("name", BEYOND)
 def test_nothing_stands_straight_beyond_its_critical_load(name: str, method: str):

@@ -107,6 +107,7 @@ def test_the_plastic_radius_and_the_pressure_over_it(comm: MPI.Comm) -> None:
         assert last - 0.005 < c < first + 0.005
 
 
+@pytest.mark.long
 def test_the_pressure_over_the_radius_of_a_metal(comm: MPI.Comm) -> None:
     """nu = 0.3: Hill's formula over the radius that is found, to 0.6 %.
 

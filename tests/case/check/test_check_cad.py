@@ -53,6 +53,7 @@ def test_a_unit_that_the_file_does_not_have_is_noted(folder: Path) -> None:
     assert found.extent == pytest.approx((0.12, 0.04, 0.05), rel=1e-6)
 
 
+@pytest.mark.long
 def test_bare_numbers_are_in_the_unit_of_the_file(folder: Path) -> None:
     """Size, selectors, probes: 2, 0 and (4, 2, 5) are millimetres without `unit`."""
     write(folder / "stack.step", stack)

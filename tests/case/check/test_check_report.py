@@ -1010,6 +1010,7 @@ def test_shown_and_as_json():
 FITTED = {"law": "mooney-rivlin", "c10": "-0.25 MPa", "c01": "0.9 MPa", "nu": 0.49}
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("serial_only")
 def test_unstable_constants_are_named_with_their_range():
     """A note with the constant, in one line; other laws have none, or what is theirs anyway."""

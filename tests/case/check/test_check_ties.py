@@ -69,6 +69,7 @@ Physical Volume("upper") = {2};
 """
 
 
+@pytest.mark.long
 def test_solids_of_cad_that_are_tied(folder: Path) -> None:
     """That meshes are not joined is said where no tie joins them, by `check`, `look` and `run`."""
     made(lambda: (folder / "boxes.geo").write_text(BOXES))

@@ -540,6 +540,7 @@ def test_tension_by_forces_of_nodes(tmp_path: Path) -> None:
     assert state.max_displacement == pytest.approx(expected, rel=1e-10)
 
 
+@pytest.mark.long
 def test_a_body_on_two_springs(tmp_path: Path) -> None:
     """Each carries its own force, F/k; without them the body would fly away."""
     from dolfin_elastic import run

@@ -344,6 +344,7 @@ on = "left"
 # --- through the whole solver ---
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("degree", [1, 2])
 def test_same_answer_as_the_built_in_law(comm, degree):
     laws = [

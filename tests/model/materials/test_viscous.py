@@ -382,6 +382,7 @@ def test_curves_are_written(tmp_path: pathlib.Path) -> None:
             assert tables[1]["loss_mu"] == pytest.approx(mu * tables[1]["loss"], rel=1e-10)
 
 
+@pytest.mark.long
 def test_the_report_draws_what_relaxes() -> None:
     plain = {"law": "linear-elastic", "E": "1 MPa", "nu": 0.3}
     (one,) = materials_of({"materials": {"gel": plain}})

@@ -584,6 +584,7 @@ def falling(degree: int, **settings: Any) -> Dynamics:
     return Dynamics(problem, initial_velocity=["2*y", "-0.5*y"], dt=1e-3, **settings)
 
 
+@pytest.mark.long
 def test_motion():
     """Energy and both momenta close to round-off, friction only loses energy; a run goes on."""
     first = falling(2, end=0.018)
@@ -693,6 +694,7 @@ def test_pairs_that_are_joined_twice(contacts, ties, where, words):
         Problem(body, LinearElastic(E=E, nu=NU), contacts=contacts, ties=ties, degree=1)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("cells", [(9, 2), (3, 2)])
 def test_a_body_that_slides_is_named(cells):
     """Whichever body carries the pressures."""
@@ -787,6 +789,7 @@ def test_bars_exchange_their_velocities(comm):
     assert means[0] / means[1] == pytest.approx(-0.1, rel=0.02)
 
 
+@pytest.mark.long
 def test_a_bar_that_hits_at_an_angle():
     """It slides all the while: friction takes mu times the impulse; a run goes on exactly."""
     velocity = ["0.1*(1 + tanh(1e7*(y - 1.000005)))", "-0.05*(1 + tanh(1e7*(y - 1.000005)))"]

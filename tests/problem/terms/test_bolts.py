@@ -71,6 +71,7 @@ def forces(problem: Problem) -> dict[float, tuple[float, float]]:
     return result
 
 
+@pytest.mark.long
 def test_load_is_shared_by_stiffness_once_the_bolt_is_locked() -> None:
     """Then its force is F + P kb/(kb + kc): VDI 2230, without eccentricity."""
     kb, kc = STEEL * 1e-4 / 0.1, SLEEVE * 2e-4 / 0.1
@@ -156,6 +157,7 @@ def test_each_section_of_a_shank_has_the_preload() -> None:
     assert state.numbers["shortening_shank"] > 0.05
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("at", [0.04, 0.05])
 @pytest.mark.parametrize("degree", [1, 2])
 def test_a_cut_bar_is_shortened_by_what_its_force_needs(at: float, degree: int) -> None:

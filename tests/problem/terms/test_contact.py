@@ -227,6 +227,7 @@ def test_each_point_of_a_path_is_settled():
     assert {state.audit.verdict for state in states} == {"pass"}
 
 
+@pytest.mark.long
 def test_no_obstacle_jumps_over_a_surface():
     """A rod of 20 cm starts 20 cm above and is pressed in by 10 cm: steps of a quarter of its way
     and more would land it inside unseen.
@@ -476,6 +477,7 @@ def test_a_tube_shrunk_into_a_bore(degree):
     np.testing.assert_allclose(state.reactions["bore"], [-pressure * outer] * 2, rtol=tolerance)
 
 
+@pytest.mark.long
 def test_the_whole_way_round_a_ball():
     """A sheet is dragged 0.6 over a ball of radius 0.5 and pushes it: forces balance, gaps close.
 
@@ -555,6 +557,7 @@ def test_tangent(shape):
 # --- motion ---
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("scheme", ["generalized-alpha", "symplectic-euler"])
 def test_a_block_bounces(scheme):
     """A block thrown at the floor comes back; what the penalty stores is counted.

@@ -426,6 +426,7 @@ def test_books_of_a_block_that_sticks(scheme, degree, close):
 # --- mistakes ---
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("dim", "turns"), [(2, False), (3, True)])
 def test_a_block_that_its_friction_does_not_keep(dim, turns):
     """The pull grows beyond mu N = 3 kN, or the moment beyond mu times that of the pressures."""

@@ -29,7 +29,8 @@ from dolfin_elastic.core.errors import ConvergenceError, ElasticError, InputErro
 from dolfin_elastic.problem.state import State
 
 FREE, G = "free", 9.81
-ALONE = pytest.mark.long, pytest.mark.usefixtures("serial_only")
+ONE_RANK = pytest.mark.skipif(MPI.COMM_WORLD.size > 1, reason="minutes of small steps")
+ALONE = pytest.mark.long, ONE_RANK
 """Thousands of steps of few unknowns: several ranks take longer, and do the same."""
 FLOOR = {"axis": "y", "at": 0}
 

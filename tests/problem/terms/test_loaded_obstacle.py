@@ -110,6 +110,7 @@ def test_steps_are_shortened_with_the_obstacle(monkeypatch):
     assert ends[0] == pytest.approx(ends[1], rel=1e-8)
 
 
+@pytest.mark.long
 def test_a_ring_is_pressed_by_the_force_on_all_of_it():
     """The force is that on the whole ring, as the forces of loads are."""
     problem = Problem(
@@ -157,6 +158,7 @@ def test_a_block_between_a_floor_and_a_stamp():
         last(block(Contact(**floor, force=FORCE, direction="y")))
 
 
+@pytest.mark.long
 def test_a_rigid_plate_under_a_stamp():
     """Two scalar unknowns, each of which is in the equation of the other."""
     problem = Problem(
@@ -181,6 +183,7 @@ def test_a_rigid_plate_under_a_stamp():
     assert state.reactions["bottom"][2] == pytest.approx(FORCE, rel=1e-7)
 
 
+@pytest.mark.long
 def test_a_run_goes_on_with_the_obstacle_where_it_was():
     first, second = (Statics(pressed(**BALL, **DOWN), steps=4) for _ in range(2))
     for state in first.steps():

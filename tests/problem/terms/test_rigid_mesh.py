@@ -144,6 +144,7 @@ def test_distances_and_normals(comm):
 # --- the same as shapes with a formula ---
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("degree", "friction"), [(1, 0.3), (2, 0.3)])
 def test_a_plane_of_triangles(degree, friction, folder, comm):
     """Linear elements with a plane have their forces in UFL, those with triangles never."""
@@ -296,6 +297,7 @@ def test_a_blade_does_not_pass(folder, comm):
     assert states[-1].numbers["penetration_floor"] <= problem.contact_pairs[0].tolerance
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("degree", [1, 2])
 def test_a_load_does_not_pass(degree, folder, comm):
     """A load presses a beam on a thin plate below its end: as on a half space, in more steps."""

@@ -22,6 +22,7 @@ E, NU, MU = 1e6, 0.3, 0.2
 ANGLE = np.radians(20)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("degree", [1, 2])
 def test_a_flat_punch_is_a_plane_where_it_is_wider(degree):
     """A block under a box and under a plane, alike to the solver's tolerance."""

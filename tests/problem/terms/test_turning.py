@@ -36,6 +36,7 @@ def places(problem: Problem) -> np.ndarray:
     return problem.V.tabulate_dof_coordinates()[:n, : problem.body.dim]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("degree", [1, 2])
 def test_a_roller_drives_a_strip(degree):
     """Where it sticks, the strip moves along by R times the angle, which nothing resists.
@@ -167,6 +168,7 @@ def dragged(scheme: str, degree: int = 1) -> Dynamics:
     return Dynamics(problem, scheme=scheme, end=0.04, **steps)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("scheme", "degree", "close"),
     [

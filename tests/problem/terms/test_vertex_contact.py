@@ -171,6 +171,7 @@ def test_a_block_bounces():
     np.testing.assert_allclose(energies, energies[0], rtol=1e-10)
 
 
+@pytest.mark.long
 def test_a_slender_body_stays_on_what_it_presses_on():
     """A cantilever that a round edge bends and rubs.
 

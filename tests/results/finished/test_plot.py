@@ -85,6 +85,7 @@ BooleanDifference(3) = { Volume{1}; Delete; }{ Volume{2}; Delete; };
 """
 
 
+@pytest.mark.long
 def test_a_field_along_a_face_of_curved_elements(folder: Path) -> None:
     """Points on the plane of symmetry of a quarter of a ring are points of the body."""
     (folder / "quarter.geo").write_text(QUARTER)

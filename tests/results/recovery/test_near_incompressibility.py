@@ -38,6 +38,7 @@ def error_energy(problem: Problem, nu: float, n: int) -> float:
     return integral(problem, compiled(problem, [found])[0])
 
 
+@pytest.mark.long
 @pytest.mark.sample(2)
 @pytest.mark.parametrize("n", [2, 1], ids=["sphere", "tube"])
 @pytest.mark.parametrize("nu", [0.49, 0.45, 0.499])

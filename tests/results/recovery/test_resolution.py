@@ -174,6 +174,7 @@ def test_the_peak_is_within_its_error_or_not_known(
         assert peak.error < 0.35
 
 
+@pytest.mark.long
 def test_advice_on_the_size_resolves_the_peak(folder: Path) -> None:
     """What the run advises is tried: the peak is known then, and right."""
     write(folder / "holed.step", holed)

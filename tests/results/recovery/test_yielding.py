@@ -34,6 +34,7 @@ def bent(law: Law, deflection: str) -> tuple[Problem, State]:
     return problem, state
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "law",
     [

@@ -107,6 +107,7 @@ def test_a_soft_part_leaves_no_constant():
     assert HydrostaticConstant(problem).bodies == []
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("degree", [1, 2])
 def test_iterations_and_factors_agree(degree):
     """Fieldsplit with GMRES, and LDL^T, in space, where J is a cubic polynomial in each cell."""

@@ -242,6 +242,7 @@ def test_a_piece_that_nothing_holds(law):
     assert "a support on that piece" in found.advice
 
 
+@pytest.mark.long
 def test_a_body_that_is_lifted_off():
     """It rests on a floor only, and its load turns up on the way: nothing holds it any more."""
     problem = Problem(
@@ -597,6 +598,7 @@ def inflated(body: Body, law: Law) -> Problem:
     )
 
 
+@pytest.mark.long
 def test_st_venant_kirchhoff_beyond_its_limit_load(shell: Body) -> None:
     """A hollow sphere: its wall is squeezed below 1/sqrt(3), and the law gives way, not the mesh.
 
@@ -621,6 +623,7 @@ def test_st_venant_kirchhoff_beyond_its_limit_load(shell: Body) -> None:
     assert re.search(r"at the end: \w.*, Newton iterations", str(error))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("law", ["hencky", "neo-hookean"])
 def test_the_laws_that_go_on_do(shell: Body, law: str) -> None:
     """What the advice names reaches the whole load."""

@@ -120,6 +120,7 @@ def test_damped_scheme_loses_energy_monotonically():
     assert totals[-1] > 0.2 * totals[0]
 
 
+@pytest.mark.long
 def test_mean_deflection_is_the_static_one():
     """A dead load put on at once makes the oscillator swing about its static deflection."""
     load = Traction(on="bottom", value=[1e4, 0])

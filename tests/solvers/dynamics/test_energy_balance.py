@@ -317,6 +317,7 @@ def test_a_weight_that_a_program_changes_in_explicit_motion(
     assert state.failure == ""
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("changes", [False, True], ids=["constant", "in time"])
 @pytest.mark.parametrize("scheme", EXPLICIT)
 def test_a_load_that_a_program_changes_in_explicit_motion(

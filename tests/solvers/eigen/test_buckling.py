@@ -184,6 +184,7 @@ def test_small_strain_laws(formulation: str, comm: MPI.Comm) -> None:
     assert hooke == pytest.approx(large, rel=1e-8)
 
 
+@pytest.mark.long
 def test_a_stiff_layer_in_rubber_that_is_held_all_around(comm: MPI.Comm) -> None:
     """A layer buckles in an incompressible matrix whose pressure is known up to a constant.
 

@@ -49,6 +49,7 @@ def rubber(share: float, **keys: Any) -> Law:
     return NeoHookeanSplit(K=K, mu=share * MU, density=1, **keys)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("pull", [0.0, 0.5])
 @pytest.mark.parametrize(("stiffness", "left"), [("instantaneous", 1.0), ("long-term", 1 - G)])
 def test_modes_have_the_stiffness_that_is_chosen(stiffness: str, left: float, pull: float) -> None:
@@ -166,6 +167,7 @@ def test_a_run_after_elastic_modes_yields() -> None:
     assert ends[0] == pytest.approx(ends[1], rel=1e-9)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("limit", "noted"), [(1.1, False), (0.9, True)])
 def test_buckling_beyond_yield_is_noted(
     limit: float, noted: bool, caplog: pytest.LogCaptureFixture

@@ -227,6 +227,7 @@ def dense(A: BlockRows | Interpolation) -> FloatArray:
     return np.concatenate(comm.allgather(nodes)).reshape(-1, A.halo.total * A.C)
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("serial_only")
 def test_making_it_needs_little_memory() -> None:
     """At most 18 bytes an entry of the tangent (13), 11 of which stay with an AIJ matrix.

@@ -399,6 +399,7 @@ def test_sphere_by_its_volume(folder):
     assert states[-1].audit.verdict == "pass", states[-1].audit.reasons
 
 
+@pytest.mark.long
 def test_sphere_by_arc_length(folder):
     """The same path under a given pressure that is scaled with the load factor."""
     problem = sphere(folder, Cavity(on="inside", pressure=1.0))
@@ -462,6 +463,7 @@ def leaking(folder):
     return problem
 
 
+@pytest.mark.long
 def test_a_term_of_ones_own_with_a_past(folder):
     """Filled at the rate q, a tube of compliance C that leaks p k obeys C dp/dt = q - k p.
 

@@ -76,6 +76,7 @@ def limits(rise: float) -> tuple[float, float]:
     return float(upper), float(loads[low].min())
 
 
+@pytest.mark.long
 def test_snap_through_of_a_shallow_arch():
     """The path of a solid arch, L/h = 200, is that of the shallow arch.
 
@@ -116,6 +117,7 @@ def test_the_falling_path_is_unstable_and_the_rising_ones_are_not():
     assert {s.negative for s in states[bottom + 2 :]} == {0}
 
 
+@pytest.mark.long
 def test_growing_load_snaps_and_says_so(caplog):
     """Beyond the upper limit point the load finds the other branch, with a warning."""
     problem = arch(RISE, FULL, (24, 1))
@@ -154,6 +156,7 @@ def test_a_path_without_limit_points_ends_at_the_load():
     assert states[0].max_displacement == pytest.approx(states[1].max_displacement, rel=1e-8)
 
 
+@pytest.mark.long
 def test_snap_back_of_an_arch_behind_a_soft_spring():
     """Pushed through a spring softer than the arch is unstable, the spring's base goes back.
 
@@ -182,6 +185,7 @@ def test_snap_back_of_an_arch_behind_a_soft_spring():
     assert second == pytest.approx(base[back].min(), rel=1e-2)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("first", [0.2, 0.6])
 def test_no_step_passes_a_thin_obstacle(first):
     """Neither the first step nor one in its direction nor the last one; a plate stops the block."""

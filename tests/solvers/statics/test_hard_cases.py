@@ -194,6 +194,7 @@ def test_a_column_below_its_load_stays_straight():
     assert state.max_displacement < 0.1
 
 
+@pytest.mark.long
 def test_a_material_that_gives_way_in_compression():
     """St. Venant-Kirchhoff bears no more than E s (s^2 - 1)/2 at s = 1/sqrt(3)."""
     limit = E / (1 - NU**2) / (3 * np.sqrt(3))
@@ -212,6 +213,7 @@ def test_a_material_that_gives_way_in_compression():
 # --- beyond what a material can ---
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("law", [NH, StVenantKirchhoff(E=E, nu=NU)])
 def test_squeezed_through_itself(law):
     """A plate that goes below the other one: no equilibrium without inverted cells is found."""
@@ -230,6 +232,7 @@ def test_squeezed_through_itself_by_a_law_that_survives():
     assert any("elements inverted, smallest det F = -" in reason for reason in state.audit.reasons)
 
 
+@pytest.mark.long
 def test_stretched_beyond_the_limit_of_its_chains():
     """Gent's stress is finite, and wrong, beyond the limit; its energy is not."""
     body = square(

@@ -77,6 +77,7 @@ def truss(folder: Path, load: float = 1.5, **statics: Any) -> list[State]:
     return [*case.make_solver(case.make_problem(case.read_body())).steps()]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("rtol", [1e-4, 1e-6, 1e-11])
 @pytest.mark.parametrize("first", [0.05, 0.4])
 def test_errors_are_at_least_the_true_ones(folder, first, rtol):
@@ -141,6 +142,7 @@ def test_states_are_those_of_a_path_that_is_not_looked_into(monkeypatch):
             assert one.audit.work == pytest.approx(other.audit.work, rel=1e-6, abs=1e-14)
 
 
+@pytest.mark.long
 def test_solvers_and_steps_agree():
     """Factors, and multigrid whose solves for the slope are tight; long steps and short ones."""
     found = []

@@ -300,6 +300,7 @@ def test_help_names_the_reductions() -> None:
     assert REDUCTIONS.keys() <= {*words}
 
 
+@pytest.mark.long
 def test_notes_of_a_run(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     """What `run` warns of is said of the first mesh, once: a beam of two linear cells across."""
     folder = on_root(WORLD, lambda: tmp_path)

@@ -78,6 +78,7 @@ def test_integrals(quantity: tuple[str, str | None, str], kind: str) -> None:
     assert here == pytest.approx(Quantity(*quantity).on(problem).of(state).value, rel=1e-10)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", OTHERS)
 @pytest.mark.parametrize("kind", ["box", "mixed"])
 def test_others(name: str, kind: str) -> None:

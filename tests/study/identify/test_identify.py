@@ -80,6 +80,7 @@ def test_constants_come_back_from_a_curve_and_a_field() -> None:
 MIXED = {"mesh": {"rectangle": {"size": [2, 1], "cells": [4, 2]}, "formulation": "mixed"}}
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("name", "more"),
     [

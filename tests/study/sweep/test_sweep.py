@@ -305,6 +305,7 @@ def clamped(folder: Path, **tables: Any) -> Case:
 NU = "materials.steel.nu"
 
 
+@pytest.mark.long
 def test_runs_with_and_without_a_pressure_are_told_apart(folder: Path) -> None:
     """Across nu = 0.45 a result jumps; with one formulation it goes on as before."""
     values = {NU: [0.4497, 0.4499, 0.4501]}
@@ -397,6 +398,7 @@ def test_a_result_that_is_not_there(folder: Path) -> None:
     assert error.value.where == "--tell"
 
 
+@pytest.mark.long
 def test_frequencies_and_several_analyses(folder: Path) -> None:
     """Modes scale as the root of E; statics of the same case is told beside them."""
     case = bar(folder, statics={}, modal={"count": 4})

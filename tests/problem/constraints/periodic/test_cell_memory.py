@@ -49,6 +49,7 @@ def relaxed(t: float, first: float, last: float, tau: float) -> float:
 # --- a homogeneous cell is a point ---
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("degree", [1, 2])
 def test_a_homogeneous_cell_relaxes_as_a_point(degree: int) -> None:
     """A ramp and a hold, with steps twice as long as tau: exact."""
@@ -105,6 +106,7 @@ LAWS = {"soft": LinearElastic(**SOFT), "stiff": LinearElastic(mu=STIFF, nu=0.3)}
 SHARE = 0.25
 
 
+@pytest.mark.long
 def test_layers_side_by_side() -> None:
     """Sheared along themselves both have the strain of the cell: exact."""
     periodic = Periodic(pairs=PAIRS3, gradient=[[1, 0.01, 0], [0, 1, 0], [0, 0, 1]])
@@ -114,6 +116,7 @@ def test_layers_side_by_side() -> None:
         assert state.numbers["P12"] == pytest.approx(0.01 * wanted, rel=1e-10)
 
 
+@pytest.mark.long
 def test_layers_one_behind_the_other() -> None:
     """Sheared across both have the stress of the cell: 1/G(s) is a mean, one exponential again."""
     share, rest = SHARE, 1 - SHARE
@@ -130,6 +133,7 @@ def test_layers_one_behind_the_other() -> None:
     assert off[2] < 1e-4
 
 
+@pytest.mark.long
 def test_a_prescribed_stress_creeps() -> None:
     """Free strain under a shear stress that grows in 0.2 s and stays: the compliance of a point."""
     rest = 1 - G
@@ -158,6 +162,7 @@ def test_a_prescribed_stress_creeps() -> None:
 # --- metals ---
 
 
+@pytest.mark.long
 def test_a_cell_yields() -> None:
     """In simple shear sqrt(3) tau = yield + slope a, tau = mu (gamma - sqrt(3) a); and back."""
     limit, slope, gamma = 0.02, 1.0, 0.02

@@ -236,6 +236,7 @@ def test_work_through_large_strains(side):
 # --- free strains ---
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("degree", [1, 2])
 def test_uniaxial(degree):
     """Neo-Hookean, E = 1e6, nu = 0.3, pulled by half, free across: the reference of the bench."""

@@ -334,6 +334,7 @@ def test_axisymmetric_patch_test() -> None:
     assert np.abs(off).max(initial=0.0) < 1e-14 * 1e-2
 
 
+@pytest.mark.long
 def test_incompressible_patch_test() -> None:
     """With a pressure beside the displacement, which each body has of its own."""
     problem = Problem(

@@ -255,6 +255,7 @@ def test_a_wave_arrives_on_time(scheme):
     assert v[(t > 1.1)].mean() == pytest.approx(2.0, abs=0.04)
 
 
+@pytest.mark.long
 def test_a_cube_that_bounces_keeps_its_energy(comm: MPI.Comm, caplog) -> None:
     """Shaken by each hit it rings at all frequencies of its mesh, without damping.
 

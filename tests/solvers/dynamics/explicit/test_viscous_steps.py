@@ -79,6 +79,7 @@ def test_the_law_of_the_next_step_has_the_same_forces(kind: Any) -> None:
     march.destroy()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("many", [False, True], ids=["few", "many"])
 @pytest.mark.parametrize(
     "law",
