@@ -258,16 +258,15 @@ class LinearSolver:
 
         Factors are left; a preconditioner is set up anew where such a solve gains by it.
         """
-        age = self._age
-        limit = 0.0 if age is None else age.limit
         with self.left_as_it_is():
-            if age is not None:
-                age.limit = min(limit, CHANGE_FOR_DIGITS)
+            if (age := self._age) is None:
+                yield
+                return
+            limit, age.limit = age.limit, min(age.limit, CHANGE_FOR_DIGITS)
             try:
                 yield
             finally:
-                if age is not None:
-                    age.limit = limit
+                age.limit = limit
 
     def factorise_each_tangent(self) -> None:
         """Makes a direct solver factorise each tangent, for quadratic convergence."""

@@ -106,7 +106,7 @@ class Adjoint:
             self._take_gmres()
         some = bool(self._assembler.problem.contact_pairs)
         self._gaps = KeptGaps(self._assembler, newton.bordered) if some else None
-        self._rows: FloatArray | None = None
+        self._border: tuple[FloatArray, FloatArray] | None = None
         self._iterations, self._known = 0, list[tuple[FloatArray, FloatArray]]()
 
     def _take_gmres(self) -> None:
@@ -186,25 +186,28 @@ class Adjoint:
             derivative = level.balanced(
                 derivative, [one for one in level.bodies if not one.coupled]
             )
-        fields, scalars = self._inverse(-derivative), np.zeros(0)
+        fields = self._inverse(-derivative)
+        scalars: FloatArray = np.zeros(0)
         if bordered is not None:
-            comm, columns, rows = dofs.comm, np.array(bordered.columns), bordered.rows
-            if self._rows is None:
+            comm, columns = dofs.comm, np.array(bordered.columns)
+            if self._border is None:
                 with self._solving(self._digits):
-                    self._rows = np.array([self._inverse(row) for row in rows])
-            # What scalars prescribe moves with them, and with it the scalars' equations.
-            moved = np.array([bordered.prescribed_part(row) for row in rows])
-            schur = bordered.corner.T - total(comm, columns @ (self._rows + moved).T)
+                    inverses = np.array([self._inverse(row) for row in bordered.rows])
+                # What scalars prescribe moves with them, and with it the scalars' equations.
+                moved = np.array([bordered.prescribed_part(row) for row in bordered.rows])
+                schur = bordered.corner.T - total(comm, columns @ (inverses + moved).T)
+                self._border = inverses, schur
+            inverses, schur = self._border
             whole = fields - bordered.prescribed_part(derivative)
             right = -of_scalars - total(comm, columns @ whole)
             try:
-                scalars = np.linalg.solve(schur, right)
+                scalars = np.asarray(np.linalg.solve(schur, right), dtype=np.float64)
             except np.linalg.LinAlgError:  # on all ranks alike
                 raise InputError(
                     "the adjoint was not found: what a force moves presses on nothing here",
                     expected="a state in which a support or contact holds it",
                 ) from None
-            fields = fields - scalars @ self._rows
+            fields = fields - scalars @ inverses
         if level is not None:  # the equations of enclosed pressures hold but for their mean
             fields = level.without_mean(fields, level.bodies)
         return np.asarray(fields), np.asarray(scalars)

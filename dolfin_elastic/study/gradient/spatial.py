@@ -55,6 +55,13 @@ class _Field:
         self.adjoint.x.array[: len(values)] = values + (0.0 if motion is None else motion)
         self.adjoint.x.scatter_forward()
 
+    @property
+    def _motion(self) -> FloatArray:
+        """The adjoint as a displacement, its local entries."""
+        problem = self.problem
+        entries = problem.unknowns.mixed_dofs(np.arange(len(problem.u.x.array), dtype=np.int32))
+        return np.asarray(self.adjoint.x.array[entries])
+
     def _compiled(self, name: str, form: Callable[[], ufl.Form]) -> fem.Form:
         if name not in self._forms:
             self._forms[name] = compiled(self.problem, [form()])[0]
@@ -117,11 +124,10 @@ class CellConstant(_Field):
 
         They depend on means of a constant over the cells of a material, see `FaceBulges`.
         """
-        unknowns, forces = self.problem.unknowns, np.zeros(len(self.problem.u.x.array))
+        forces = np.zeros(len(self.problem.u.x.array))
         for pair in self.problem.contact_pairs:
             pair.add_forces(forces)
-        entries = unknowns.mixed_dofs(np.arange(len(forces), dtype=np.int32))
-        return -total(self.problem.body.comm, float(forces @ self.adjoint.x.array[entries]))
+        return -total(self.problem.body.comm, float(forces @ self._motion))
 
 
 def _in_cells(form: ufl.Form, test: Expr) -> ufl.Form:
@@ -247,14 +253,11 @@ class Shape(_Field):
 
     def _of_contact(self, adjoint: AdjointState) -> FloatArray:
         """The same of the forces of contact between surfaces, and of its gaps. Collective."""
-        unknowns, u = self.problem.unknowns, self.problem.u
-        entries = unknowns.mixed_dofs(np.arange(len(u.x.array), dtype=np.int32))
-        motion = self.adjoint.x.array[entries]
         start, parts = 0, []
         for pair in self._between:
             end = start + len(pair.nodes)
             of_gaps = -pair.eps * adjoint.pressures[start:end]
-            parts.append(pair.by_positions(-motion, of_gaps).ravel())
+            parts.append(pair.by_positions(-self._motion, of_gaps).ravel())
             start = end
         matrix = interpolation_matrix(self.V, self.problem.V)
         matrix.assemble()

@@ -112,12 +112,9 @@ class _Followed(ContactPair):
         return np.asarray(RIGID * np.maximum(self._first[1], FACTOR / self.softness))
 
     def keep(self, pressing: BoolArray | None) -> None:
-        """See `Pressures`: as stiff as in Newton's method, whose factors serve for the tangent.
-
-        Not between surfaces of the mesh, where derivatives along motions are differences.
-        """
+        """See `Pressures`: as stiff as in Newton's method, whose factors serve for the tangent."""
         super().keep(pressing)
-        self.eps = self._first[1] if pressing is None or self.contact.between else self.stiff
+        self.eps = self._first[1] if pressing is None else self.stiff
 
     def _forget(self) -> None:
         """What an iteration has learnt of an obstacle's normals does not outlive it."""
