@@ -11,7 +11,7 @@ unknown.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from functools import cached_property
+from functools import cache, cached_property
 from typing import Annotated, Any, ClassVar, Self
 
 import numpy as np
@@ -407,6 +407,7 @@ class Contact(OnSurfaces):
             )
 
 
+@cache
 def obstacle_shapes() -> dict[str, type[Shape]]:
     """Key of each shape that an obstacle may have, to the shape."""
     return {

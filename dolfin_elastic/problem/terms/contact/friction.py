@@ -201,8 +201,7 @@ class _Tractions(Term):
     def status(self) -> IndexArray:
         """`OPEN`, `STICK` or `SLIP` of the owned nodes. Collective."""
         _, trial, limit = self._tractions()
-        slips = np.linalg.norm(trial, axis=1) >= ALL * limit
-        return np.where(limit > 0.0, np.where(slips, SLIP, STICK), OPEN).astype(np.int32)
+        return status_of(trial, limit)
 
     def slip_limits(self) -> tuple[IndexArray, FloatArray, FloatArray]:
         """See `Term`: mu p over the areas."""
@@ -361,8 +360,8 @@ class CoulombFriction(_Tractions):
 
         Times the springs, against the motion [Pa].
         """
-        t, trial, _ = self._tractions()
-        slips, before = (self.status() == SLIP)[:, None], self._of(self._slid)
+        t, trial, limit = self._tractions()
+        slips, before = (status_of(trial, limit) == SLIP)[:, None], self._of(self._slid)
         now = (trial - t) * slips
         along, square = np.sum(now * before, axis=1), np.sum(before**2, axis=1)
         return now + before * slips * (along >= -STILL * square)[:, None]
@@ -373,7 +372,8 @@ class CoulombFriction(_Tractions):
         As the pressure does, what is left to Coulomb's limit ends within an element: where it meets
         minus the traction that would undo the slip since points stuck, over an element's length.
         """
-        (t, _, limit), status = self._tractions(), self.status()
+        t, trial, limit = self._tractions()
+        status = status_of(trial, limit)
         slides = -HALF_SPACE / FACTOR * np.linalg.norm(self._slides(), axis=1)
         opens = self.coefficient * np.minimum(self._pair.levels(), 0.0)
         left = limit - np.linalg.norm(t, axis=1)
@@ -386,6 +386,12 @@ class CoulombFriction(_Tractions):
         lost = float(self._lost_now().sum() + before.sum())
         result[f"stick_share_{self.label}"] = self.stuck_area() / area if area > 0.0 else 0.0
         result[f"friction_dissipation_{self.label}"] = total(self._comm, lost)
+
+
+def status_of(trial: FloatArray, limit: FloatArray) -> IndexArray:
+    """`OPEN`, `STICK` or `SLIP` of each node, from its trial traction and mu p [Pa]."""
+    slips = np.linalg.norm(trial, axis=1) >= ALL * limit
+    return np.where(limit > 0.0, np.where(slips, SLIP, STICK), OPEN).astype(np.int32)
 
 
 def shortened(before: FloatArray, after: FloatArray) -> FloatArray:
