@@ -6,6 +6,7 @@ import logging
 import pickle
 from collections.abc import Callable, Iterable
 from contextlib import suppress
+from copy import copy
 from dataclasses import dataclass
 from typing import TypeVar, cast
 
@@ -134,6 +135,8 @@ def total(comm: MPI.Comm, value: T) -> T:
         comm: The ranks.
         value: This rank's number, or array of the same shape on all ranks.
     """
+    if comm.size == 1:  # pickling took a twentieth of a step of a small body in motion
+        return copy(value)
     return comm.allreduce(value, op=MPI.SUM)
 
 
