@@ -92,6 +92,8 @@ class Record(BaseModel, metaclass=_RecordType):
     """Other keys of its table, which may be meant by one that is unknown."""
     lengths: ClassVar[tuple[str, ...]] = ()
     """Places and lengths beside a mesh: bare numbers in its unit, or texts with a unit."""
+    angles: ClassVar[Mapping[str, str]] = {}
+    """Key of an angle to the unit of its bare numbers: rad, or deg beside a mesh."""
 
     def in_metres(self, scale: float) -> Self:
         """The same record with all its `lengths` in metres; one that is so already stays itself.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from functools import cached_property
 from typing import Annotated, ClassVar
 
@@ -27,6 +28,7 @@ class Turning(Record):
     """
 
     lengths: ClassVar[tuple[str, ...]] = ("point",)
+    angles: ClassVar[Mapping[str, str]] = {"angle": "rad"}
     point: Point
     axis: Direction | None = None
     angle: Annotated[float | str, BeforeValidator(no_switch)]

@@ -8,7 +8,7 @@ shape is all that is not farther than their radius from a smaller one with sharp
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Annotated, ClassVar, TypeAlias
 
 import numpy as np
@@ -191,6 +191,7 @@ class ConeObstacle(Shape):
     """
 
     lengths: ClassVar[tuple[str, ...]] = ("tip", "rounding")
+    angles: ClassVar[Mapping[str, str]] = {"half_angle": "deg"}
     tip: Point
     axis: Direction
     half_angle: AcuteAngle

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Annotated, ClassVar
 
 import numpy as np
@@ -57,6 +57,7 @@ class Turn(Record):
     """
 
     lengths: ClassVar[tuple[str, ...]] = ("point",)
+    angles: ClassVar[Mapping[str, str]] = {"angle": "deg"}
     axis: Direction | None = None
     angle: Annotated[float | str, BeforeValidator(no_switch), AfterValidator(_angle)]
     point: Annotated[tuple[MeshLength, ...], Field(min_length=2, max_length=3)] | None = None

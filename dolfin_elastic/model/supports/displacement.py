@@ -375,6 +375,7 @@ class Rotation(PrescribingSupport):
     displacement: list[Any] | None = None
     curve: Curve | None = None
     lengths: ClassVar[tuple[str, ...]] = ("point",)
+    angles: ClassVar[Mapping[str, str]] = {"angle": "rad"}
 
     @model_validator(mode="after")
     def _read(self) -> Rotation:

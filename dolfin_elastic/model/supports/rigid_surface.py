@@ -63,6 +63,7 @@ class Rigid(Restraint):
 
     part_kinds: ClassVar[tuple[str, ...]] = ("surface",)
     lengths: ClassVar[tuple[str, ...]] = ("point",)
+    angles: ClassVar[Mapping[str, str]] = {"rotation": "rad"}
 
     @model_validator(mode="after")
     def _read(self) -> Rigid:

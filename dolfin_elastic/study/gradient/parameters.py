@@ -18,9 +18,18 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 from dolfinx.fem import Constant
 
+from dolfin_elastic.case.toml import key_parts
 from dolfin_elastic.core.errors import InputError, nearest
+from dolfin_elastic.core.schema import Record
 from dolfin_elastic.core.types import FloatArray
-from dolfin_elastic.core.units import is_quantity, number_and_unit, stress_unit, unit_to_si
+from dolfin_elastic.core.units import (
+    LENGTHS,
+    is_quantity,
+    number_and_unit,
+    stress_unit,
+    to_base,
+    unit_to_si,
+)
 from dolfin_elastic.mesh.body import Body, cell_size
 from dolfin_elastic.model.amplitude import PROPORTIONAL
 from dolfin_elastic.model.materials.spatial import units_of
@@ -193,7 +202,7 @@ class Parameter(ABC):
     Attributes:
         key: Dotted.
         value: In `unit`.
-        unit: As the case has it; empty of pure numbers, and of bare ones.
+        unit: As the case has it, or that of a bare number there; empty of pure numbers.
         step: Of the differences.
     """
 
@@ -224,15 +233,15 @@ class MaterialConstant(Parameter):
     Args:
         constant: Of the forms, in SI units.
         room: Distance of its value from those that are impossible.
-        written: Number and unit that the case has for it; None: those of the constant.
+        written: Number and unit, see `_written`.
     """
 
     def __init__(
-        self, key: str, constant: Constant, room: float, written: tuple[float, str] | None
+        self, key: str, constant: Constant, room: float, written: tuple[float, str]
     ) -> None:
         value = float(constant.value)
-        number, unit = written or (value, "")
-        self._size = value / number if number else 1.0
+        number, unit = written
+        self._size = value / number if number else to_base(f"1 {unit}") if unit else 1.0
         super().__init__(key, number, unit, STEP * min(abs(value) or room, room) / self._size)
         self._constant = constant
 
@@ -259,9 +268,10 @@ class CaseNumber(Parameter):
                 expected="a key with a number, such as load[0].value[2] or materials.steel.E",
             )
         number, unit = read
+        unit = unit or _bare_unit(case, key, number, body)
         size = abs(number) or _size_beside(case, key)
-        if key.startswith("support[") and ".displacement" in key:  # however small the cells are
-            size = cell_size(body) / (unit_to_si(unit, "m") if unit else body.unit.metres)
+        if key.startswith("support[") and ".displacement" in key and unit:
+            size = cell_size(body) / unit_to_si(unit, "m")  # however small the cells are
         super().__init__(key, number, unit, STEP * size)
         self._case, self._body = case, body
 
@@ -312,25 +322,69 @@ def pressures_of(problem: Problem) -> FloatArray:
     return np.concatenate([np.zeros(0), *(pair.pressures() for pair in problem.contact_pairs)])
 
 
-def _written(case: Case | None, key: str) -> tuple[float, str] | None:
-    """Number and unit of a constant in a case; None: it has none there."""
-    try:
-        return None if case is None else number_and_unit(case.value_at(key))
-    except InputError:  # a default, or another name of the same
-        return None
+def _written(case: Case | None, key: str, problem: Problem, value: float) -> tuple[float, str]:
+    """Number and unit of a constant: as the case has them, or with its SI unit.
 
-
-def _by_unit(key: str, problem: Problem, value: float) -> tuple[float, str] | None:
-    """Number and unit of a constant that is no text of the case; None: it is no stress."""
+    Args:
+        value: Of the constant, in SI units.
+    """
     units = {
         f"{region.table}.{name}": unit
         for region in problem.regions
         for name, unit in units_of(type(region.given)).items()
     }
-    if units.get(key) != "Pa":
-        return None
-    size, unit = stress_unit(abs(value))
-    return value / size, unit
+    si = units.get(key, "")
+    try:
+        read = None if case is None else number_and_unit(case.value_at(key))
+    except InputError:  # a default, or another name of the same
+        size, unit = stress_unit(abs(value)) if si == "Pa" else (1.0, si)
+        return value / size, unit
+    number, unit = read or (value, "")
+    return number, unit or si
+
+
+_SI = (
+    *("m", "Pa", "N", "N*m", "K", "s", "kg", "m/s", "m/s^2", "1/s", "1/K", "kg/m^3", "m^3"),
+    *("N/m", "N/m^3", "N*s/m", "Pa*s", "N*s/m^3"),
+)
+"""One unit for each kind of number that a case takes."""
+
+
+def _bare_unit(case: Case, key: str, number: float, body: Body) -> str:
+    """Unit of a number that a case has without one; empty: it is pure, or none is known.
+
+    A problem is made of the case with the right unit alone. Collective.
+    """
+    inner: object = case
+    owner, names = Record(), list[str]()
+    for part in key_parts(key):
+        rows = dict(enumerate(inner)) if isinstance(inner, list | tuple) else {}
+        inner = rows.get(int(part)) if part.isdecimal() else getattr(inner, part, None)
+        names.append(part)
+        if isinstance(inner, Record):
+            owner, names = inner, []
+    name, *places = names
+    if name in owner.lengths:
+        return body.unit.name if body.unit.name in LENGTHS else ""
+    if name in owner.angles:
+        return owner.angles[name]
+    if not all(map(str.isdecimal, places)):  # of a field, whose numbers have its own unit
+        return ""
+
+    def fits(unit: str, *, whole: bool) -> bool:
+        try:
+            changed = case.changed({key: f"{number!r} {unit}"})
+            if whole:
+                changed.make_problem(body)
+        except InputError:
+            return False
+        return True
+
+    with quietly():
+        units = [unit for unit in _SI if fits(unit, whole=False)]
+        if len(units) > 1:  # stiffnesses per area or length: which, is known on the mesh
+            units = [unit for unit in units if fits(unit, whole=True)]
+    return units[0] if units else ""
 
 
 def _size_beside(case: Case, key: str) -> float:
@@ -364,9 +418,9 @@ def _parameter(key: str, problem: Problem, case: Case | None) -> Parameter:
             if key == f"{region.table}.{name}"
         )
         value = float(known[key].value)
-        written = _written(case, key) or (_by_unit(key, problem, value) if case else None)
+        written = _written(case, key, problem, value)
         room = min(value - allowed.low, allowed.high - value) if allowed else np.inf
-        if room == 0.0 or (value == 0.0 and (np.isinf(room) or (written and written[1]))):
+        if room == 0.0 or (value == 0.0 and np.isinf(room)):
             raise InputError(
                 f"'{key}' is 0 or at the end of its range, where no size of a step is known",
                 where=_OPTION,

@@ -32,7 +32,8 @@ class Derivative:
     Attributes:
         key: Of the parameter.
         at: The parameter's value.
-        unit: Of the parameter, as the case has it; empty of bare numbers.
+        unit: Of the parameter, as the case has it, or that of a bare number there; empty of pure
+            numbers.
         value: dQ/dm, the SI unit of Q over `unit`.
         size: In `unit`, over which Q may well change: of the parameter, of its distance from what
             is impossible, or of a cell.

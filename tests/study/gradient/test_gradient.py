@@ -38,7 +38,7 @@ from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.parallel import total
 from dolfin_elastic.study.gradient.gradient import Asked, Gradients, gradient
 from dolfin_elastic.study.gradient.modes import with_one_more
-from dolfin_elastic.study.gradient.parameters import Equilibrium
+from dolfin_elastic.study.gradient.parameters import Equilibrium, parameters
 
 COMM = MPI.COMM_WORLD
 STEP = 1e-3
@@ -234,9 +234,9 @@ TABLES: dict[str, Any] = {
 }
 KEYS = {
     "load[0].value": (20.0, "kPa"),
-    "load[1].value[1]": (0.0, ""),
+    "load[1].value[1]": (0.0, "Pa"),
     "support[1].displacement[2]": (5.0, "cm"),
-    "materials.gel.density": (1000.0, ""),
+    "materials.gel.density": (1000.0, "kg/m^3"),
 }
 
 
@@ -257,6 +257,59 @@ def test_other_keys_of_a_case(key: str) -> None:
     slopes = (8 * (at(1) - at(-1)) - (at(2) - at(-2))) / (12 * step)
     told = np.array([one.by[0].value for one in here.gradients])
     np.testing.assert_allclose(told, slopes, rtol=1e-6)
+
+
+BARE = {
+    "materials.gel.E": "Pa",
+    "materials.gel.nu": "",
+    "materials.gel.density": "kg/m^3",
+    "support[1].displacement[0]": "m",
+    "support[2].angle": "rad",
+    "support[3].stiffness[1]": "N/m^3",
+    "load[0].value": "Pa",
+    "load[1].value[2]": "m/s^2",
+    "load[2].force[0]": "N",
+    "load[2].moment[1]": "N*m",
+    "load[3].value": "1/s",
+    "contact[0].sphere.radius": "mm",
+    "contact[0].sphere.center[1]": "mm",
+    "contact[0].motion[1]": "m",
+    "contact[0].stiffness": "N/m^3",
+    "contact[1].cone.half_angle": "deg",
+    "contact[1].gap_tolerance": "mm",
+}
+
+
+def test_numbers_without_a_unit_have_that_of_the_case() -> None:
+    """SI, but for lengths and angles beside a mesh."""
+    ball = {"radius": 300.0, "center": [500.0, -300.0, 1.0]}
+    cone = {"tip": [500.0, -1.0, 0.0], "axis": [0, -1, 0], "half_angle": 1.25}
+    tables: dict[str, Any] = {
+        "mesh": {"box": {"size": [1000, 1000, 1000], "cells": [1, 1, 1]}, "unit": "mm"},
+        "materials": {"gel": {"law": "neo-hookean", "E": 1e6, "nu": 0.3, "density": 1e3}},
+        "support": [
+            {"on": "left"},
+            {"on": "right", "displacement": [0.001, 0, 0]},
+            {"on": "top", "kind": "rotation", "point": [0, 0, 0], "axis": "x", "angle": 0.1},
+            {"on": "back", "kind": "spring", "stiffness": [0, 1e5, 0]},
+        ],
+        "load": [
+            {"on": "front", "kind": "pressure", "value": 2e4},
+            {"kind": "gravity", "value": [0, 0, -9.81]},
+            {"on": "front", "kind": "remote-force", "force": [1.0, 0, 0]},
+            {"kind": "centrifugal", "value": 3.0, "axis": "x"},
+        ],
+        "contact": [
+            {"on": "bottom", "sphere": ball, "motion": [0.0, 1e-4, 0.0], "stiffness": 1e12},
+            {"on": "bottom", "cone": cone, "gap_tolerance": 0.1},
+        ],
+        "statics": {},
+    }
+    tables["load"][2]["moment"] = [0.0, 5.0, 0.0]
+    case = Case.from_dict(tables)
+    problem = Case.from_dict({**tables, "contact": []}).make_problem(case.read_body())
+    found = {one.key: one.unit for one in parameters([*BARE], problem, case)}
+    assert found == BARE
 
 
 SIDES = {"on": ["left", "right", "front", "back"], "displacement": [0, 0, "free"]}
