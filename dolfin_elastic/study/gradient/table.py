@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from os import PathLike
 from pathlib import Path
-from typing import TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 from dolfin_elastic.core.errors import InputError, nearest
 from dolfin_elastic.core.si_text import literal, quantity
@@ -15,6 +15,9 @@ from dolfin_elastic.core.startup.elsewhere import plain_matplotlib
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.results.files import drafted
 from dolfin_elastic.study.tabled import Tabled
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 T = TypeVar("T")
 
@@ -128,7 +131,8 @@ class GradientTable(Tabled):
 
 _MOST = 12
 """Bars of one number."""
-_INK = "#1f5f8b"
+_INK = ("#1f5f8b", "#b0562f")
+"""Of bars to the right and to the left."""
 _NOTHING = 1e-7
 """Relative derivative below which it is round-off."""
 
@@ -156,22 +160,36 @@ def _draw(table: GradientTable, path: Path) -> None:
     FigureCanvasAgg(figure)
     axes = figure.subplots(len(panels), 1, squeeze=False, height_ratios=heights)[:, 0]
     for axis, (one, rows) in zip(axes, panels, strict=True):
-        axis.barh([literal(key) for key, _ in rows], [r for _, r in rows], color=_INK, height=0.6)
-        axis.axvline(0.0, color="0.3", linewidth=0.8)
         axis.set_title(literal(f"{one.name} = {quantity(one.value, one.unit)}"), fontsize=10)
-        axis.margins(x=0.2)
-        for side in ("top", "right", "left"):
-            axis.spines[side].set_visible(False)
-        for place, (_, r) in enumerate(rows):
-            axis.annotate(
-                f"{r:+.2g} %" if r else "0",
-                (r, place),
-                xytext=(4 if r >= 0 else -4, 0),
-                textcoords="offset points",
-                va="center",
-                ha="left" if r >= 0 else "right",
-                fontsize=8,
-            )
+        draw_bars(axis, rows)
     axes[-1].set_xlabel("change [%] where the parameter is 1 % larger")
     with drafted(path) as draft:
         figure.savefig(draft, format="png", dpi=130)
+
+
+def draw_bars(axis: Axes, rows: Sequence[tuple[str, float]]) -> None:
+    """Draws relative derivatives into a panel, in one colour where they are negative.
+
+    Args:
+        rows: Key of each, and its value [%].
+    """
+    values = [value for _, value in rows]
+    inks = [_INK[value < 0.0] for value in values]
+    axis.barh([literal(key) for key, _ in rows], values, color=inks, height=0.6)
+    axis.axvline(0.0, color="0.3", linewidth=0.8)
+    low, high = min(0.0, *values), max(0.0, *values)
+    beside = 0.25 * (high - low or 1.0)  # for the numbers, those of short bars, too
+    axis.set_xlim(low - beside * (low < 0.0), high + beside)
+    axis.tick_params(axis="y", length=0)
+    for side in ("top", "right", "left"):
+        axis.spines[side].set_visible(False)
+    for place, value in enumerate(values):
+        axis.annotate(
+            f"{value:+.2g} %".replace("-", "\N{MINUS SIGN}") if value else "0",
+            (value, place),
+            xytext=(4 if value >= 0 else -4, 0),
+            textcoords="offset points",
+            va="center",
+            ha="left" if value >= 0 else "right",
+            fontsize=8,
+        )

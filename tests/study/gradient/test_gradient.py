@@ -11,6 +11,7 @@ import pytest
 import ufl
 from helpers.bodies import soft_and_hard
 from helpers.stacked import stacked
+from matplotlib.figure import Figure
 from mpi4py import MPI
 
 from dolfin_elastic import (
@@ -39,6 +40,7 @@ from dolfin_elastic.core.parallel import total
 from dolfin_elastic.study.gradient.gradient import Asked, Gradients, gradient
 from dolfin_elastic.study.gradient.modes import with_one_more
 from dolfin_elastic.study.gradient.parameters import Equilibrium, parameters
+from dolfin_elastic.study.gradient.table import draw_bars
 
 COMM = MPI.COMM_WORLD
 STEP = 1e-3
@@ -657,3 +659,13 @@ def test_two_materials() -> None:
     # Homogeneous of degree -1 in both stiffnesses at small strains: W(s E) = W(E)/s.
     both = sum(one.at * one.value for one in found[0].by)
     assert both < 0.0
+
+
+def test_bars_of_both_signs() -> None:
+    """A colour each, numbers with the minus of the axis; those of short bars have room, too."""
+    axis = Figure().subplots()
+    draw_bars(axis, [("E", 1.0), ("nu", -0.001), ("load", -0.4), ("radius", 0.0)])
+    inks = [bar.get_facecolor() for bar in axis.patches]
+    assert inks[1] == inks[2] and inks[0] == inks[3] and inks[0] != inks[1]
+    assert [one.get_text() for one in axis.texts] == ["+1 %", "−0.001 %", "−0.4 %", "0"]
+    assert axis.get_xlim() == pytest.approx((-0.75, 1.35))
