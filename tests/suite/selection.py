@@ -97,6 +97,7 @@ POINTS = {
     "study/converge/test_extrapolation.py",
     "study/sweep/test_sweep_command.py",
     "study/sweep/test_sweep_settings.py",
+    "study/gradient/test_gradient_command.py",
     "study/fit/test_fit.py",
     "study/fit/test_fit_input.py",
     "study/fit/test_fit_over_time.py",

@@ -18,8 +18,21 @@ from dolfin_elastic.core.startup.libraries import start
 if TYPE_CHECKING:
     from dolfin_elastic.study.gradient.table import Derivative, Gradient, GradientTable
 
-_WRONG = 1.9
-"""Order of Taylor's remainder below which a derivative is doubtful."""
+_DOUBTS = {
+    " (!)": (
+        -math.inf,
+        1.9,
+        "order below 2 (!): the remainder falls like that of a wrong derivative, or of a kink; it "
+        "is not to be relied on",
+    ),
+    " (?)": (
+        2.3,
+        math.inf,
+        "order above 2 (?): the remainder is not of second order either, and confirms nothing: "
+        "round-off, a kink between both steps, or no curvature; `sweep` shows which",
+    ),
+}
+"""Mark to the orders of Taylor's remainder that have it, from and to, and what they mean."""
 
 
 def gradient(
@@ -98,7 +111,7 @@ def _show(table: GradientTable, folder: Path, names: list[str], *, verified: boo
     from dolfin_elastic.cli.console import TYPED, console, show_files, show_table
     from dolfin_elastic.core.si_text import quantity
 
-    screen, doubtful = console(), False
+    screen, doubts = console(), list[str]()
     for one in table.gradients:
         screen.tell(f"{one.name} = {quantity(one.value, one.unit)}".translate(TYPED))
         rows = Table(box=SIMPLE_HEAD, pad_edge=False)
@@ -106,12 +119,13 @@ def _show(table: GradientTable, folder: Path, names: list[str], *, verified: boo
         for head in heads + ["order"] * verified:
             rows.add_column(head, justify="left" if head == "by" else "right")
         for d in one.by:
-            rows.add_row(*_cells(one, d), *([_order(d)] if verified else []))
-            doubtful |= d.order < _WRONG
+            order, meaning = order_text(d.order)
+            rows.add_row(*_cells(one, d), *([order] if verified else []))
+            doubts.append(meaning)
         if one.by:
             show_table(screen, rows)
-    if doubtful:
-        screen.tell("an order far from 2 (!): that derivative is not to be relied on")
+    for meaning in filter(None, dict.fromkeys(doubts)):
+        screen.tell(meaning)
     show_files(folder, names)
 
 
@@ -132,7 +146,11 @@ def _cells(one: Gradient, d: Derivative) -> list[str]:
     ]
 
 
-def _order(d: Derivative) -> str:
-    if not math.isfinite(d.order):
-        return "round-off"
-    return f"{d.order:.2f}" + " (!)" * (d.order < _WRONG)
+def order_text(order: float) -> tuple[str, str]:
+    """Order of Taylor's remainder with a mark where it is not 2, and what the mark means."""
+    if not math.isfinite(order):
+        return "round-off", ""
+    for mark, (low, high, meaning) in _DOUBTS.items():
+        if low < order < high:
+            return f"{order:.2f}{mark}", meaning
+    return f"{order:.2f}", ""
