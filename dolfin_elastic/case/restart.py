@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import logging
+import os
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -42,6 +43,9 @@ from dolfin_elastic.results.checkpoint.lock import check_free
 from dolfin_elastic.results.files import replace_text
 
 log = logging.getLogger("dolfin_elastic")
+
+_FILES = ("file", "image", "library", "viscous", "prony")
+"""Keys of a case, at any depth, whose texts name files or folders."""
 
 
 @dataclass(frozen=True)
@@ -311,6 +315,23 @@ def meshes_of(tables: dict[str, Any]) -> list[tuple[dict[str, Any], str]]:
     obstacles = [row["mesh"] for row in tables.get("contact", []) if "mesh" in row]
     every = (mesh, *mesh.get("parts", {}).values(), *obstacles)
     return [(one, key) for one in every for key in ("file", "image") if key in one]
+
+
+def tables_in(case: Case, folder: Path) -> dict[str, object]:
+    """The tables of a case as they were written, for a file in another folder. Not collective."""
+
+    def moved(value: object, key: str = "") -> object:
+        if isinstance(value, Mapping):
+            return {name: moved(inner, name) for name, inner in value.items()}
+        if isinstance(value, list | tuple):
+            return [moved(inner) for inner in value]
+        if key not in _FILES or not isinstance(value, str) or Path(value).is_absolute():
+            return value
+        path = case.folder / value
+        return os.path.relpath(path.resolve(), folder.resolve()) if path.exists() else value
+
+    tables = case.written if case.file else case.to_dict()  # Python's own types become TOML's
+    return {key: moved(value, key) for key, value in tables.items()}
 
 
 def written_tables(case: Case) -> dict[str, Any]:

@@ -50,8 +50,8 @@ def _blocks(key: str, table: Mapping[str, object]) -> list[str]:
     if isinstance(parts := table.get("parts"), Mapping):
         rest = {name: value for name, value in table.items() if name != "parts"}
         return [*([block(f"[{key}]", rest)] if rest else []), *_named(f"{key}.parts", parts)]
-    materials = {n: row for n, row in table.items() if isinstance(row, Mapping) and "law" in row}
-    if not table or len(materials) < len(table):
+    materials = {n: row for n, row in table.items() if isinstance(row, Mapping)}
+    if key != "materials" or not table or len(materials) < len(table):
         return [block(f"[{key}]", table)]
     return _named(key, materials)
 

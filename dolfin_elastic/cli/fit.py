@@ -134,7 +134,7 @@ def fit(
 
     from dolfin_elastic.case.case import locate_errors
     from dolfin_elastic.core.parallel import on_root
-    from dolfin_elastic.study.fit.fit import fit_curves, read_curves, starting_law
+    from dolfin_elastic.study.fit.fit import fit_curves, read_curves, start_of
     from dolfin_elastic.study.fit.written import files_of
 
     files = {
@@ -168,10 +168,9 @@ def fit(
             refuse_earlier(files_of(name, folder))
         curves = read_curves(data, _weights(weight), unit=unit, true=true)
         with locate_errors(f"{law}: materials.{name}"):
-            given, marked = starting_law(table, curves)
+            begun = start_of(table, curves)
         result = fit_curves(
-            given,
-            marked,
+            begun,
             curves,
             fix=fix or [],
             bounds=limits,
@@ -179,7 +178,7 @@ def fit(
             evaluations=steps,
             stable=stable,
         )
-        _show(name, result, table.get("on"), folder, json)
+        _show(name, result, folder, json)
 
     on_root(MPI.COMM_WORLD, on_one_rank)
 
@@ -245,7 +244,7 @@ def _weights(texts: Texts) -> dict[str, float]:
     return result
 
 
-def _show(name: str, fit: Fit, on: object, folder: Path, json: bool) -> None:
+def _show(name: str, fit: Fit, folder: Path, json: bool) -> None:
     """Prints and writes a fit.
 
     Raises:
@@ -255,7 +254,7 @@ def _show(name: str, fit: Fit, on: object, folder: Path, json: bool) -> None:
     from dolfin_elastic.cli.console_materials import as_json
     from dolfin_elastic.study.fit.written import material_toml, write_fit
 
-    files = write_fit(name, fit, folder, on)
+    files = write_fit(name, fit, folder)
     if json:
         print(as_json(_plain(fit)))
     else:
@@ -265,7 +264,7 @@ def _show(name: str, fit: Fit, on: object, folder: Path, json: bool) -> None:
         for line in (*fit.unknown, *fit.stability, *fit.notes):
             screen.tell(line)
         screen.print()
-        print(material_toml(name, fit, on))
+        print(material_toml(name, fit))
         screen.print(f"written: {folder}: {', '.join(f.name for f in files)}")
     if not fit.ended:
         raise SolveError(

@@ -10,13 +10,14 @@ from __future__ import annotations
 import re
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
+from typing import cast
 
 import numpy as np
 import ufl
 from pydantic import BaseModel
 
 from dolfin_elastic.case.tables import Material
-from dolfin_elastic.case.toml import changed_tables
+from dolfin_elastic.case.toml import changed_tables, key_parts
 from dolfin_elastic.core.errors import CaseError, InputError, UnitError, nearest
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.core.units import to_base, to_si
@@ -264,6 +265,26 @@ def with_numbers(law: Law, numbers: Mapping[str, float]) -> Law:
 def table_with(law: Law, numbers: Mapping[str, object]) -> dict[str, object]:
     """A law's table with other values of some constants."""
     return changed_tables(Material(law=law).table(), numbers, frozenset())
+
+
+def place_in(table: Mapping[str, object], name: str) -> tuple[str, object]:
+    """Dotted key of a constant in a material's table, by the names that this has, and its value.
+
+    Args:
+        name: As `constants_of` has it.
+
+    Returns:
+        The value is None of a constant that the table leaves out.
+    """
+    inner, path = cast(object, table), ""
+    for part in key_parts(name):
+        if isinstance(inner, Mapping):
+            known = (key for key in inner if OTHER_NAMES.get(key, key) == part)
+            key = next(known, part)
+            inner, path = inner.get(key), f"{path}.{key}" if path else key
+        elif isinstance(inner, list | tuple):
+            inner, path = inner[int(part)], f"{path}[{part}]"
+    return path, inner
 
 
 # --- constants without a starting value ---

@@ -15,6 +15,7 @@ from dolfin_elastic.core.si_text import listed, percent, quantity
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.model.materials.isochoric import Isochoric
 from dolfin_elastic.model.materials.law import Law
+from dolfin_elastic.model.materials.library import completed
 from dolfin_elastic.study.fit.constants import chosen, guessed, marked_rows, with_numbers
 from dolfin_elastic.study.fit.curves import KINDS, TestCurve, as_curve, known_kind
 from dolfin_elastic.study.fit.homogeneous import HomogeneousTests
@@ -76,6 +77,7 @@ class Fit:
 
     Attributes:
         law: With the fitted constants.
+        table: Of the material from which it began, as it was written.
         constants: All constants of the law.
         curves: The tests beside it.
         correlation: Of the fitted constants in their order, shape (k, k); nan beside constants that
@@ -91,6 +93,7 @@ class Fit:
     """
 
     law: Law
+    table: Mapping[str, object] = field(repr=False)
     constants: tuple[FittedConstant, ...]
     curves: tuple[FittedCurve, ...]
     correlation: FloatArray
@@ -158,10 +161,8 @@ def fit(
         SolveError: The law has no stress at the points, or cannot have the constants found.
     """
     curves = read_curves(data, weights or {}, unit=unit, true=true)
-    given, marked = starting_law(law, curves)
     return fit_curves(
-        given,
-        marked,
+        start_of(law, curves),
         curves,
         fix=fix,
         bounds=bounds or {},
@@ -172,8 +173,7 @@ def fit(
 
 
 def fit_curves(
-    law: Law,
-    marked: Collection[str],
+    begin: Start,
     curves: Sequence[TestCurve],
     *,
     fix: Collection[str],
@@ -185,17 +185,16 @@ def fit_curves(
     """The same of a law and of curves that have been read. Not collective.
 
     Args:
-        law: See `starting_law`.
-        marked: Names of its constants that had no starting value.
-        curves: See `read_curves`.
+        begin: From `start_of`.
+        curves: From `read_curves`.
         fix: And the others, see `fit`.
 
     Raises:
         InputError: A constant or its bounds are wrong, or the law has no answer to a test.
         SolveError: See `fit`.
     """
-    constants = chosen(law, curves, fix, bounds, marked)
-    start = with_numbers(law, {row.name: row.start for row in constants if not row.held})
+    constants = chosen(begin.law, curves, fix, bounds, begin.marked)
+    start = with_numbers(begin.law, {row.name: row.start for row in constants if not row.held})
     model, twin = Model(start, curves, constants), _incompressible(start, constants)
     quick = isinstance(model.tests, HomogeneousTests) and model.tests.incompressible
     usual = SLOW_STARTS if twin is None and not quick else STARTS
@@ -207,7 +206,7 @@ def fit_curves(
         model.start = np.clip(first.z, model.low, model.high)
         answer = replace(search(model, 1, evaluations), starts=first.starts, same=first.same)
     if not stable:
-        return _result(start, model, constants, answer)
+        return _result(begin, start, model, constants, answer)
 
     def is_stable(z: FloatArray) -> bool:
         values = {row.name: float(x) for row, x in zip(model.free, z * model.scale, strict=True)}
@@ -217,7 +216,7 @@ def fit_curves(
             return False
 
     found = Stabilised(model, answer, is_stable, evaluations).answer
-    return _result(start, model, constants, found, _cost(model, answer.z, found))
+    return _result(begin, start, model, constants, found, _cost(model, answer.z, found))
 
 
 def _cost(model: Model, free: FloatArray, found: Answer) -> Iterator[str]:
@@ -250,10 +249,23 @@ def _incompressible(law: Law, constants: Sequence[Constant]) -> Law | None:
     return with_numbers(law, {"nu": 0.5})
 
 
-def starting_law(
-    law: Law | Mapping[str, object], curves: Sequence[TestCurve]
-) -> tuple[Law, list[str]]:
-    """The law from which a fit starts, and names of its constants that are "fit".
+@dataclass(frozen=True)
+class Start:
+    """What a fit starts from.
+
+    Attributes:
+        table: Of the material, as it was written.
+        law: With guesses in place of "fit".
+        marked: Names of the constants that are "fit".
+    """
+
+    table: Mapping[str, object]
+    law: Law
+    marked: Sequence[str] = ()
+
+
+def start_of(law: Law | Mapping[str, object], curves: Sequence[TestCurve]) -> Start:
+    """The law from which a fit starts.
 
     Args:
         law: See `fit`.
@@ -262,10 +274,14 @@ def starting_law(
     Raises:
         InputError: The table is wrong, or a constant varies in space.
     """
-    given = law if isinstance(law, Law) else Material.read(guessed(law, curves)).law
-    for name in given.spatial_constants():
+    if isinstance(law, Law):
+        start = Start(Material(law=law).table(), law)
+    else:
+        table = completed(law) if "material" in law else law
+        start = Start(table, Material.read(guessed(table, curves)).law, marked_rows(table))
+    for name in start.law.spatial_constants():
         raise CaseError("this constant varies in space", where=name, expected="a number")
-    return given, [] if isinstance(law, Law) else marked_rows(law)
+    return start
 
 
 def read_curves(
@@ -308,7 +324,12 @@ def read_curves(
 
 
 def _result(
-    start: Law, model: Model, constants: list[Constant], answer: Answer, cost: Iterable[str] = ()
+    begin: Start,
+    start: Law,
+    model: Model,
+    constants: list[Constant],
+    answer: Answer,
+    cost: Iterable[str] = (),
 ) -> Fit:
     known = certainty(model, answer.z)
     values = dict(zip((row.name for row in model.free), answer.z * model.scale, strict=True))
@@ -329,6 +350,7 @@ def _result(
     unknown, more = remarks(model, answer.z, known)
     return Fit(
         law,
+        begin.table,
         rows,
         curves,
         known.correlation,

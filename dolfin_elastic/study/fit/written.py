@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from dolfin_elastic.case.toml import block, key_text
+from dolfin_elastic.case.toml import block, changed_tables, key_text
 from dolfin_elastic.core.si_text import literal, percent
 from dolfin_elastic.core.startup.elsewhere import plain_matplotlib
-from dolfin_elastic.core.units import stress_unit
+from dolfin_elastic.core.units import number_and_unit, stress_unit, to_base
 from dolfin_elastic.results.files import drafted, make_folder, replace_text
-from dolfin_elastic.study.fit.constants import table_with
+from dolfin_elastic.study.fit.constants import place_in
 from dolfin_elastic.study.fit.curves import KINDS
 from dolfin_elastic.study.fit.fit import Fit, FittedCurve
 from dolfin_elastic.study.least_squares.fitted import FittedConstant, constants_csv
@@ -25,18 +25,16 @@ _DIGITS = 7
 _COLUMNS = 3
 
 
-def material_toml(name: str, fit: Fit, on: object = None) -> str:
-    """A table [materials.NAME] that a case file can have.
-
-    Args:
-        on: Regions of the material; None: everything.
-    """
-    values = {row.name: _written(row) for row in fit.constants}
-    table = table_with(fit.law, values)
-    if on is not None:
-        table["on"] = on
+def material_toml(name: str, fit: Fit) -> str:
+    """A table [materials.NAME] that a case file can have: what was not fitted stays as it was."""
     tests = ", ".join(map(_described, fit.curves))
-    table["source"] = f"fitted to {tests}; r.m.s. error over the largest stress"
+    values: dict[str, object] = {
+        "source": f"fitted to {tests}; r.m.s. error over the largest stress"
+    }
+    for row in fit.fitted:
+        key, given = place_in(fit.table, row.name)
+        values[key] = _written(row, given)
+    table = changed_tables(fit.table, values, frozenset())
     return block(f"[materials.{key_text(name)}]", table) + "\n"
 
 
@@ -46,8 +44,16 @@ def _described(curve: FittedCurve) -> str:
     return f"{curve.measured.kind} {file} ({percent(curve.relative)})".replace("  ", " ")
 
 
-def _written(row: FittedConstant) -> str | float:
-    """A number as a case file has it, moduli and times with a unit."""
+def _written(row: FittedConstant, given: object) -> str | float:
+    """A number as a case file has it.
+
+    Args:
+        given: What it takes the place of, whose unit it has; of "fit" moduli and times have one.
+    """
+    if (read := number_and_unit(given)) is not None:
+        number = row.value / (to_base(f"1 {read[1]}") if read[1] else 1.0)
+        text = f"{number:.{_DIGITS}g}"
+        return f"{text} {read[1]}" if read[1] else float(text)
     if row.unit == "Pa":
         size, unit = stress_unit(abs(row.value))
         return f"{row.value / size:.{_DIGITS}g} {unit}"
@@ -66,13 +72,12 @@ def files_of(name: str, folder: Path) -> list[Path]:
     return [folder / f"{begin}{end}" for end in (".toml", "_constants.csv", "_curves.csv", ".png")]
 
 
-def write_fit(name: str, fit: Fit, folder: Path, on: object = None) -> list[Path]:
+def write_fit(name: str, fit: Fit, folder: Path) -> list[Path]:
     """Writes all files of a fit. Not collective.
 
     Args:
         name: See `files_of`.
         folder: Where they go; made if missing.
-        on: See `material_toml`.
 
     Returns:
         The files.
@@ -82,7 +87,7 @@ def write_fit(name: str, fit: Fit, folder: Path, on: object = None) -> list[Path
     """
     make_folder(folder)
     paths = files_of(name, folder)
-    replace_text(paths[0], material_toml(name, fit, on))
+    replace_text(paths[0], material_toml(name, fit))
     replace_text(paths[1], constants_csv(fit.fitted, fit.correlation))
     replace_text(paths[2], _curves(fit))
     _draw(name, fit, paths[3])

@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from dolfin_elastic.case.case import Case
-from dolfin_elastic.case.restart import meshes_of, portable
-from dolfin_elastic.case.toml import changed_tables, toml_text, value_at
-from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.case.restart import tables_in
+from dolfin_elastic.case.toml import changed_tables, toml_text
 from dolfin_elastic.core.si_text import literal, percent, scaled_unit
 from dolfin_elastic.core.startup.elsewhere import plain_matplotlib
 from dolfin_elastic.core.types import FloatArray
@@ -61,7 +58,7 @@ def write_identified(found: Identified, folder: Path) -> list[Path]:
     """
     make_folder(folder)
     name = found.case.name
-    texts = {".toml": _case(found, folder)}
+    texts = {".toml": case_text(found.case, values_text(found), folder)}
     texts["_constants.csv"] = constants_csv(found.constants, found.correlation)
     if _curves(found):
         texts["_curves.csv"] = _curve_rows(found)
@@ -74,22 +71,10 @@ def write_identified(found: Identified, folder: Path) -> list[Path]:
     return [*paths.values()]
 
 
-def _case(found: Identified, folder: Path) -> str:
-    """The case with its values; paths are relative to the folder."""
-    return case_text(found.case, values_text(found), folder)
-
-
 def case_text(case: Case, values: Mapping[str, object], folder: Path) -> str:
-    """A case with other values as a file in a folder. Not collective."""
-    tables = portable(case.changed(values))
-    for key, value in values.items():
-        with suppress(InputError):  # where the key has another name there, it has SI units
-            value_at(tables, key)
-            tables = changed_tables(tables, {key: value}, frozenset())
-    for mesh, key in meshes_of(tables):
-        mesh[key] = os.path.relpath(mesh[key], folder.resolve())
+    """A case with other values as a file in a folder, the rest as it was. Not collective."""
     try:
-        return toml_text(tables)
+        return toml_text(changed_tables(tables_in(case, folder), values, frozenset()))
     except TypeError:
         return "# This case has Python functions, which no file holds.\n"
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import tomllib
 from pathlib import Path
 
@@ -19,6 +20,7 @@ from dolfin_elastic.core.errors import InputError, SolveError
 from dolfin_elastic.model.materials.registry import MATERIALS
 from dolfin_elastic.study.fit.constants import chosen, constants_of, guessed, table_with
 from dolfin_elastic.study.fit.curves import TestCurve, read_curve
+from dolfin_elastic.study.fit.written import material_toml
 from dolfin_elastic.study.least_squares.fitted import FittedConstant
 
 pytestmark = pytest.mark.skipif(
@@ -232,6 +234,40 @@ def test_the_command(tmp_path):
     code, out, err = cli(*words, "--force", "--stable", folder=tmp_path, ranks=2)
     assert code == 0, err
     assert out.count("[materials.rubber]") == 1
+
+
+def test_the_table_is_written_as_the_user_wrote_it():
+    """Units, names and what was not fitted; a modulus of "fit" has a unit that suits it."""
+    table = {"law": "neo-hookean-split", "mu": "0.5 N/mm^2", "lambda": "1 GPa"}
+    table |= {"prony": [{"g": 0.2, "tau": "1 min"}], "density": "1.1 g/cm^3", "on": "seal"}
+    time, stress = np.array([1.0, 10, 60, 100, 300]), np.array([96, 87, 72, 67, 61]) * 1e3
+    found = fit(table, {"relaxation": (time, stress, np.full(5, 1.1))})
+    written = tomllib.loads(material_toml("seal", found))["materials"]["seal"]
+    assert [*written] == [*table, "source"]
+    assert {key: written[key] for key in ("lambda", "density", "on")} == {
+        "lambda": "1 GPa",
+        "density": "1.1 g/cm^3",
+        "on": "seal",
+    }
+    values = {"N/mm^2": (written["mu"], "mu", 1e6)}
+    values["min"] = (written["prony"][0]["tau"], "viscous[0].time", 60.0)
+    for unit, (text, name, size) in values.items():
+        assert text == f"{found[name].value / size:.7g} {unit}"
+    assert written["prony"][0]["g"] == pytest.approx(found["viscous[0].ratio"].value, rel=1e-6)
+    energy = {"energy": "c/2*(I1 - 3) - c*ln(J) + K/2*ln(J)^2"}
+    energy |= {"parameters": {"c": "1 bar", "K": 1e9}}
+    for given, keys, pattern in (
+        ({"law": "neo-hookean", "mu": "fit", "nu": 0.5}, ["mu"], r"\d+\.\d+ kPa"),
+        (energy, ["parameters", "c"], r"\d\.\d+ bar"),
+    ):
+        found = fit(given, {"uniaxial": CURVE}, fix=["K"] if given is energy else [])
+        text = tomllib.loads(material_toml("gum", found))["materials"]["gum"]
+        for key in keys:
+            text = text[key]
+        assert re.fullmatch(pattern, text)
+    bare = fit(NeoHookean(mu=1e5, nu=0.5), {"uniaxial": CURVE})
+    written = tomllib.loads(material_toml("gum", bare))["materials"]["gum"]
+    assert written["mu"] == pytest.approx(bare["mu"].value, rel=1e-6)
 
 
 def test_an_earlier_fit_stays(tmp_path):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import tomllib
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +21,7 @@ from dolfin_elastic.study.identify.measured import (
     read_measured,
 )
 from dolfin_elastic.study.identify.unknowns import read_unknowns
+from dolfin_elastic.study.identify.written import case_text
 
 pytestmark = pytest.mark.skipif(
     MPI.COMM_WORLD.size > 1, reason="starts mpirun itself, which cannot be nested"
@@ -228,6 +230,34 @@ def test_what_was_measured_beyond_the_run_and_beside_states(tmp_path: Path) -> N
     alone = MeasuredCurve(curve.x, curve.y, np.ones(1), np.ones(1))
     with pytest.raises(InputError, match="1 point cannot tell 1 constant"):
         identify(case, alone, ["materials.steel.E"])
+
+
+def test_the_case_is_written_as_the_user_wrote_it(tmp_path: Path) -> None:
+    """Values, names and order; files are named from the folder in which it is."""
+    library = '["my steel"]\nE = "210 GPa"\nnu = 0.3\n'
+    ramp = '[[load]]\nkind = "gravity"\ncurve = {file = "ramp.csv"}\n'
+    mine = 'material = "my steel"\nE = "1 N/mm^2"\ndensity = "7.8 g/cm^3"'
+    text = CASE.replace('law = "linear-elastic"\nE = "1 MPa"\nnu = 0.3', mine)
+    for name, content in {
+        "lib.toml": library,
+        "ramp.csv": "0,0\n1,1\n",
+        "case.toml": f'library = "lib.toml"\n{text}\n{ramp}',
+    }.items():
+        (tmp_path / name).write_text(content)
+    case, folder = read_case(tmp_path / "case.toml"), tmp_path / "a" / "b"
+    written = case_text(case, {"materials.steel.E": "2.5 N/mm^2"}, folder)
+    expected = tomllib.loads((tmp_path / "case.toml").read_text())
+    expected["materials"]["steel"]["E"] = "2.5 N/mm^2"
+    expected["library"] = "../../lib.toml"
+    expected["load"][0]["curve"]["file"] = "../../ramp.csv"
+    assert json.dumps(tomllib.loads(written)) == json.dumps(expected)
+    assert "[materials.steel]" in written
+    folder.mkdir(parents=True)
+    (folder / "case.toml").write_text(written)
+    same = case.changed({"materials.steel.E": 2.5e6}).materials
+    assert read_case(folder / "case.toml").materials == same
+    made = Case.from_dict(tomllib.loads(CASE), tmp_path)
+    assert tomllib.loads(case_text(made, {}, folder))["materials"]["steel"]["E"] == 1e6
 
 
 @pytest.mark.long
