@@ -275,7 +275,8 @@ def _show(name: str, fit: Fit, folder: Path, json: bool) -> None:
 
 def _tables(fit: Fit) -> None:
     """Prints constants and errors."""
-    from dolfin_elastic.core.si_text import percent, quantity
+    from dolfin_elastic.core.si_text import percent
+    from dolfin_elastic.study.least_squares.fitted import error_text
 
     show_rows(("constant", "value", INTERVAL), constant_rows(fit.constants))
     show_rows(
@@ -284,7 +285,7 @@ def _tables(fit: Fit) -> None:
             (
                 curve.measured.kind,
                 str(len(curve.stress)),
-                quantity(curve.rms, "Pa"),
+                error_text(curve.rms, curve.relative, "Pa"),
                 percent(curve.relative),
             )
             for curve in fit.curves

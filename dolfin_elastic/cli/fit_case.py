@@ -214,13 +214,18 @@ def _show(found: Identified, folder: Path, json: bool) -> None:
 def _tables(found: Identified) -> None:
     """Prints values and errors."""
     from dolfin_elastic.core.si_text import percent
-    from dolfin_elastic.study.identify.identify import error_text
+    from dolfin_elastic.study.least_squares.fitted import error_text
 
     show_rows(("value of", "found", INTERVAL), constant_rows(found.constants))
     show_rows(
         ("measured", "numbers", "r.m.s. error", "of the largest value"),
         (
-            (one.measured.label, str(one.computed.size), error_text(one), percent(one.relative))
+            (
+                one.measured.label,
+                str(one.computed.size),
+                error_text(one.rms, one.relative, one.unit),
+                percent(one.relative),
+            )
             for one in found.sets
         ),
     )
@@ -229,6 +234,8 @@ def _tables(found: Identified) -> None:
 INTERVAL = "95 % interval"
 _DIGITS = 2
 """Of half an interval, which is an estimate itself."""
+_SHOWN = 1e-4
+"""Half an interval over its value that is shown as a length, not only as a share."""
 
 
 def show_rows(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
@@ -263,10 +270,12 @@ def _interval_text(row: FittedConstant) -> str:
         return "at its bound"
     if not math.isfinite(row.half):
         return "not known"
-    part = f" ({percent(row.half / abs(row.value))})" if row.value else ""
+    part = percent(row.half / abs(row.value)) if row.value else ""
+    if row.half < _SHOWN * abs(row.value):  # in none of the digits of the value
+        return f"+- {part}"
     factor, unit = scaled_unit(row.half, row.unit)
-    half = f"{number(row.half / factor, _DIGITS)} {unit}".rstrip()
-    return f"+- {half}{part}"
+    half = f"+- {number(row.half / factor, _DIGITS)} {unit}".rstrip()
+    return f"{half} ({part})" if part else half
 
 
 def _field_text(found: FieldFound) -> dict[str, object]:

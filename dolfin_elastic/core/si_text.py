@@ -90,12 +90,12 @@ def size(value: float, dim: int) -> str:
 
 
 def percent(value: float | None) -> str:
-    """A share in per cent, such as "12 %"."""
+    """A share in per cent, such as "12 %"; "< 0.01 %" of one that is smaller but not 0."""
     if value is None or not math.isfinite(value):
         return "not known"
     shown = 100 * value
-    if 0 <= shown < 0.01:
-        return "0 %"
+    if 0 < shown < 0.01:
+        return "< 0.01 %"
     return f"{shown:.0f} %" if shown >= 10 else f"{shown:.2g} %"
 
 

@@ -13,7 +13,7 @@ from dolfin_elastic.case.case import Case
 from dolfin_elastic.core.errors import InputError, SolveError
 from dolfin_elastic.core.parallel import led, on_root
 from dolfin_elastic.core.petsc_options import PetscOptions
-from dolfin_elastic.core.si_text import listed, number, percent, quantity
+from dolfin_elastic.core.si_text import listed, percent, quantity
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.study.identify.measured import Measured, MeasuredCurve, as_measured
 from dolfin_elastic.study.identify.runs import Record, Runs
@@ -313,8 +313,3 @@ def _doubts(sets: Sequence[ComparedSet]) -> Iterator[str]:
                 f"{one.measured.source}: {listed(list(bare))} without a unit was read in SI units: "
                 'write it in the heading, "force [kN]"'
             )
-
-
-def error_text(one: ComparedSet) -> str:
-    """R.m.s. error with its unit."""
-    return quantity(one.rms, one.unit) if one.unit else number(one.rms)

@@ -9,9 +9,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from dolfin_elastic.core.errors import nearest
+from dolfin_elastic.core.si_text import quantity
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.study.least_squares.certainty import Certainty
 from dolfin_elastic.study.least_squares.problem import Constant, LeastSquares
+
+_ROUND_OFF = 1e-12
+"""Error over the largest number that the arithmetic makes."""
 
 
 @dataclass(frozen=True)
@@ -44,6 +48,17 @@ class FittedConstant:
 def rms(off: FloatArray) -> float:
     """Root mean square of differences."""
     return float(np.sqrt(np.mean(off**2)))
+
+
+def error_text(error: float, relative: float, unit: str) -> str:
+    """An r.m.s. error with its unit.
+
+    Args:
+        error: In SI units.
+        relative: The same over the largest measured number.
+        unit: The SI unit.
+    """
+    return quantity(error, unit) if relative > _ROUND_OFF else "round-off"
 
 
 def fitted_constants(

@@ -17,11 +17,12 @@ from dolfin_elastic import MooneyRivlin, NeoHookean, fit
 from dolfin_elastic.case.tables import Material
 from dolfin_elastic.cli.fit_case import constant_rows
 from dolfin_elastic.core.errors import InputError, SolveError
+from dolfin_elastic.core.si_text import percent
 from dolfin_elastic.model.materials.registry import MATERIALS
 from dolfin_elastic.study.fit.constants import chosen, constants_of, guessed, table_with
 from dolfin_elastic.study.fit.curves import TestCurve, read_curve
 from dolfin_elastic.study.fit.written import material_toml
-from dolfin_elastic.study.least_squares.fitted import FittedConstant
+from dolfin_elastic.study.least_squares.fitted import FittedConstant, error_text
 
 pytestmark = pytest.mark.skipif(
     MPI.COMM_WORLD.size > 1, reason="starts mpirun itself, which cannot be nested"
@@ -317,12 +318,36 @@ def test_intervals_have_two_digits():
         FittedConstant("alpha", "", 0.0, 0.27412),
         FittedConstant("nu", "", 0.5, np.nan, held="fixed by --fix"),
         FittedConstant("K", "Pa", 1e9, np.nan, bound=True),
+        FittedConstant("c10", "MPa", 0.7, 1e-5),
+        FittedConstant("c01", "MPa", 0.7, 1e-17),
     ]
     assert [row[2] for row in constant_rows(rows)] == [
         "+- 84 kPa (27 %)",
         "+- 0.27",
         "fixed by --fix",
         "at its bound",
+        "+- < 0.01 %",
+        "+- < 0.01 %",
+    ]
+
+
+def test_errors_that_are_too_small_to_be_shown(tmp_path):
+    """A law that made the curve itself: in words, in the table, the title and the source."""
+    s = np.linspace(1.1, 2.0, 10)
+    found = fit(
+        {"law": "neo-hookean", "mu": "1 MPa", "nu": 0.5}, {"uniaxial": (s, 4e5 * (s - s**-2))}
+    )
+    (curve,) = found.curves
+    assert 0 < curve.relative < 1e-12
+    assert error_text(curve.rms, curve.relative, "Pa") == "round-off"
+    assert error_text(5.0, 1e-4, "Pa") == "5 Pa"
+    assert "uniaxial: < 0.01 % r.m.s." in str(found)
+    assert "fitted to uniaxial (< 0.01 %);" in material_toml("gum", found)
+    assert [percent(x) for x in (0.0, 1e-17, 9e-5, 2e-4)] == [
+        "0 %",
+        "< 0.01 %",
+        "< 0.01 %",
+        "0.02 %",
     ]
 
 
