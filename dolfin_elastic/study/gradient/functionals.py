@@ -21,7 +21,7 @@ from dolfinx import fem
 from mpi4py import MPI
 from ufl.core.expr import Expr
 
-from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.core.errors import InputError, nearest
 from dolfin_elastic.core.ghosts import assembled, summed
 from dolfin_elastic.core.parallel import total
 from dolfin_elastic.core.types import FloatArray, IndexArray
@@ -295,7 +295,7 @@ def _functional(text: str, problem: Problem, probes: Mapping[str, Sequence[float
             expected="a whole number from 1 on, such as norm:16 von_mises on fillet",
         )
     power = int(norm[1]) if norm else NORM
-    wanted = Wanted.read(norm[2] if norm else text, _OPTION)
+    wanted = _read(norm[2] if norm else text, problem, probes)
     if SAME.get(wanted.name, wanted.name) == "strain_energy" and not wanted.part:
         return _energy(problem)
     kind = _COMPONENT.fullmatch(wanted.name)
@@ -328,11 +328,53 @@ def _functional(text: str, problem: Problem, probes: Mapping[str, Sequence[float
         raise InputError(
             f"'{text}' has no derivative",
             where=_OPTION,
-            expected=f"'mean {wanted.name} on {wanted.part or 'NAME'}'",
+            expected=f"'mean {wanted.name} on {wanted.part}'"
+            if wanted.part
+            else _examples(problem, probes, wanted.name),
+        )
+    if wanted.part in probes:
+        raise InputError(
+            f"'{text}' has no derivative: {wanted.part} is a point",
+            where=_OPTION,
+            expected=_examples(problem, probes, wanted.name),
         )
     wanted.check(problem.body, (), problem.constraints.labels)
     bare = norm[2] if norm else text
     return _of_field(bare, wanted, problem, kinds, power)
+
+
+def _read(text: str, problem: Problem, probes: Mapping[str, Sequence[float]]) -> Wanted:
+    """What a name asks for; one of no field is answered with numbers of this problem."""
+    try:
+        wanted = Wanted.read(text, _OPTION)
+        if SAME.get(wanted.name, wanted.name) == "strain_energy":
+            return wanted
+        field = wanted.quantity.name
+        components = component_names(field, FIELDS[field].columns)
+        if field in ("displacement", "reaction") or wanted.name in (field, *components):
+            return wanted
+    except InputError:  # of all fields that there are
+        pass
+    axes = "xyz"[: problem.body.dim]
+    fields = [n for n, one in FIELDS.items() if one.formula is not None and one.of_tensor is None]
+    vectors = [f"{stem}_{axis}" for stem in ("displacement", "reaction") for axis in axes]
+    names = ["strain_energy", "displacement", "reaction", *vectors, *fields]
+    word = re.split(r"\s+(?:on|of|at)\s+", text)[0].split()[-1:] or [""]
+    hint = nearest(word[0], names)
+    if word[0] in names or not hint.startswith("did"):
+        hint = f"for example {_examples(problem, probes, 'von_mises')}, or strain_energy"
+    raise InputError(f"'{text}' is no number with a derivative", where=_OPTION, expected=hint)
+
+
+def _examples(problem: Problem, probes: Mapping[str, Sequence[float]], field: str) -> str:
+    """Numbers of a problem: at a probe, of a support, and of a field on a part."""
+    axis, parts = "xyz"[problem.body.dim - 1], problem.body.parts
+    rows = {
+        f"displacement_{axis} of": probes,
+        f"reaction_{axis} of": problem.constraints.labels,
+        f"mean {field} on": [*parts["surface"], *parts["region"]],
+    }
+    return ", ".join(f"'{words} {name}'" for words, names in rows.items() for name in [*names][:1])
 
 
 def _known(problem: Problem, probes: Mapping[str, Sequence[float]]) -> list[str]:

@@ -43,6 +43,7 @@ from dolfin_elastic.study.gradient.spatial import (
     OFFSET,
     CellConstant,
     Shape,
+    check_shape,
     coefficient_of,
     nodes_moved,
 )
@@ -131,14 +132,8 @@ class _By:
         some: There are any.
     """
 
-    def __init__(
-        self,
-        asked: Asked,
-        problem: Problem,
-        case: Case | None,
-        residual: ufl.Form | None = None,
-    ) -> None:
-        self._asked, self._comm, self._residual = asked, problem.body.comm, residual
+    def __init__(self, asked: Asked, problem: Problem, case: Case | None) -> None:
+        self._asked, self._comm = asked, problem.body.comm
         self._parameters = parameters(asked.by, problem, case)
         self.some = bool(asked.by or asked.fields or asked.offsets)
         self._cells: list[CellConstant] | None = None
@@ -146,6 +141,7 @@ class _By:
         for key in asked.fields:
             coefficient_of(key, problem)
         for surface in asked.offsets:
+            check_shape(problem)
             nodes_moved(problem.body, surface)
         self._offsets = dict[str, FloatArray]()
 
@@ -165,6 +161,7 @@ class _By:
         values: FloatArray,
         sides: Sequence[Sides],
         solutions: Sequence[AdjointState | None],
+        residual: ufl.Form | None = None,
     ) -> tuple[Gradient, ...]:
         """Of all functionals.
 
@@ -172,11 +169,12 @@ class _By:
             values: Of each.
             sides: Of each parameter.
             solutions: The adjoint of each; None: it does not depend on the unknowns.
+            residual: Virtual work of the equations; None: of the problem's.
         """
         if self._cells is None:
-            self._cells = [CellConstant(key, dofs, self._residual) for key in self._asked.fields]
+            self._cells = [CellConstant(key, dofs, residual) for key in self._asked.fields]
             if self._asked.offsets:
-                self._shape = Shape(dofs, self._residual)
+                self._shape = Shape(dofs, residual)
                 self._offsets = {one: self._shape.offset(one) for one in self._asked.offsets}
         return tuple(
             self._gradient(one, float(values[number]), number, sides, solutions[number])
@@ -319,12 +317,14 @@ def _solved(case: Case, asked: Asked, body: Body, petsc: PetscOptions | None) ->
 def _of_modes(case: Case, asked: Asked, problem: Problem, petsc: PetscOptions | None) -> Found:
     """Natural frequencies or load factors with their gradients. Collective."""
     check_modes(case, problem)
+    with locate_errors(case.file):
+        by = _By(asked, problem, case)
     case = with_one_more(case, asked.of)
     with locate_errors(case.file), closing(case.make_solver(problem, petsc=petsc).steps()) as steps:
         modes = {one.number: one for one in steps if isinstance(one, Mode)}
         if case.analysis == "buckling":
-            return _of_buckling(case, asked, problem, modes, petsc)
-        chosen, by = frequencies(asked.of, problem, modes), _By(asked, problem, case)
+            return _of_buckling(case, asked.of, by, problem, modes, petsc)
+        chosen = frequencies(asked.of, problem, modes)
         values, sides = by.sides(AtRest(chosen))
         nothing = [None] * len(chosen)
         gradients = by.gradients(ConstrainedDofs(problem), chosen, values, sides, nothing)
@@ -333,18 +333,20 @@ def _of_modes(case: Case, asked: Asked, problem: Problem, petsc: PetscOptions | 
 
 def _of_buckling(
     case: Case,
-    asked: Asked,
+    of: Sequence[str],
+    by: _By,
     problem: Problem,
     modes: Mapping[int, Mode],
     petsc: PetscOptions | None,
 ) -> Found:
     """Load factors with their gradients. Collective."""
     with closing(Prebuckling(case, problem, petsc)) as before:
-        chosen = load_factors(asked.of, before, modes)
-        by = _By(asked, problem, case, before.residual)
+        chosen = load_factors(of, before, modes)
         values, sides = by.sides(LinearState(before, chosen))
         solutions = [before.adjoint.solve(one.by_unknowns(), np.zeros(0)) for one in chosen]
-        gradients = by.gradients(before.assembler, chosen, values, sides, solutions)
+        gradients = by.gradients(
+            before.assembler, chosen, values, sides, solutions, before.residual
+        )
     return Found(gradients, problem, State(0, 0.0, problem.u))
 
 

@@ -173,13 +173,23 @@ def check_quotient(mode: Mode, found: float, known: float) -> None:
 
 
 def with_one_more(case: Case, names: Sequence[str]) -> Case:
-    """The case with a mode beyond those of names, which tells whether the last one is alone."""
+    """The case with a mode beyond those of names, which tells whether the last one is alone.
+
+    Raises:
+        InputError: The case asks for fewer modes.
+    """
     numbers = [int(match[2]) for name in names if (match := _NAME.fullmatch(name.strip()))]
     count = 0
     if case.buckling is not None:
         count = case.buckling.count
     elif case.modal is not None and case.modal.below is None:
         count = case.modal.count or 6
+    if 0 < count < max(numbers):
+        raise InputError(
+            f"mode {max(numbers)} is not among the {count} of the case",
+            where=_OPTION,
+            expected=f"a mode up to {count}, or {case.analysis}.count = {max(numbers)}",
+        )
     return case.changed({f"{case.analysis}.count": count + 1}) if max(numbers) == count else case
 
 

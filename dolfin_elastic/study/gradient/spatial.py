@@ -173,52 +173,63 @@ _SHAPED = (Traction, Force, Pressure, BodyForce, Gravity)
 """Loads whose dependence on the positions of nodes is known."""
 
 
+def _between(problem: Problem) -> list[BodyContact]:
+    """Contacts between surfaces of the mesh."""
+    return [pair for pair in problem.contact_pairs if isinstance(pair, BodyContact)]
+
+
+def check_shape(problem: Problem) -> None:
+    """Checks that what depends on the positions of nodes is known. Not collective.
+
+    Raises:
+        InputError: Something depends on them in a way that is in no form.
+    """
+    between = _between(problem)
+    known = [
+        one
+        for one in problem.loads
+        if isinstance(one, _SHAPED)
+        and not any(isinstance(c, Formula) and c.names & PLACE for c in one.values)
+    ]
+    others: list[object] = [one for one in problem.loads if one not in known]
+    others += [one for one in problem.terms if one not in between]
+    others += [problem.cell] if problem.cell else []
+    if between and problem.unknowns.degree < problem.body.mesh.geometry.cmap.degree:
+        others.append("contact of linear elements with curved faces")
+    others += [one for one in problem.supports if _depends_on_place(one)]
+    others += [
+        f"{region.name}.{name}"
+        for region in problem.regions
+        for name, value in region.given.spatial_constants().items()
+        if isinstance(value, SpatialFormula | SpatialDirection)
+    ]
+    if others or problem.constraints.combined or problem.unknowns.stabilised:
+        what = others[0] if others else "a tie, an oblique support or a stabilised pressure"
+        named = f"'{what if isinstance(what, str) else type(what).__name__}'"
+        if isinstance(what, Term) and what.account == "contact":
+            named = f"contact of '{what.label}'"
+        raise InputError(
+            f"there is no gradient by the shape with {named}",
+            where="--offset",
+            expected="tractions, total forces, pressures, gravity, fixed supports, and contact "
+            "between surfaces of the mesh",
+        )
+
+
 class Shape(_Field):
-    """The positions of the nodes of the undeformed body.  Collective.
+    """The positions of the nodes of the undeformed body, see `check_shape`.  Collective.
 
     Args:
         residual: See `CellConstant`.
 
     Attributes:
         V: Space of the positions.
-
-    Raises:
-        InputError: Something depends on them in a way that is in no form.
     """
 
     def __init__(self, dofs: ConstrainedDofs, residual: ufl.Form | None = None) -> None:
         super().__init__(dofs, residual)
         problem = self.problem
-        self._between = [pair for pair in problem.contact_pairs if isinstance(pair, BodyContact)]
-        known = [
-            one
-            for one in problem.loads
-            if isinstance(one, _SHAPED)
-            and not any(isinstance(c, Formula) and c.names & PLACE for c in one.values)
-        ]
-        others: list[object] = [one for one in problem.loads if one not in known]
-        others += [one for one in problem.terms if one not in self._between]
-        others += [problem.cell] if problem.cell else []
-        if self._between and problem.unknowns.degree < problem.body.mesh.geometry.cmap.degree:
-            others.append("contact of linear elements with curved faces")
-        others += [one for one in problem.supports if _depends_on_place(one)]
-        others += [
-            f"{region.name}.{name}"
-            for region in problem.regions
-            for name, value in region.given.spatial_constants().items()
-            if isinstance(value, SpatialFormula | SpatialDirection)
-        ]
-        if others or problem.constraints.combined or problem.unknowns.stabilised:
-            what = others[0] if others else "a tie, an oblique support or a stabilised pressure"
-            named = f"'{what if isinstance(what, str) else type(what).__name__}'"
-            if isinstance(what, Term) and what.account == "contact":
-                named = f"contact of '{what.label}'"
-            raise InputError(
-                f"there is no gradient by the shape with {named}",
-                where="--offset",
-                expected="tractions, total forces, pressures, gravity, fixed supports, and contact "
-                "between surfaces of the mesh",
-            )
+        self._between = _between(problem)
         mesh = problem.body.mesh
         self.V = _positions(problem.body)
         self._x, self._test = ufl.SpatialCoordinate(mesh), ufl.TestFunction(self.V)

@@ -123,3 +123,13 @@ def test_what_has_no_derivative() -> None:
     ):
         with pytest.raises(InputError, match="has no derivative"):
             functionals([name], problem, {})
+    examples = "for example 'displacement_z of probe', 'reaction_z of left', 'mean von_mises on "
+    for name in ("contact_area of ball", "obstacle displacement", "contact_force_ball", "volume"):
+        with pytest.raises(InputError, match=f"'{name}' is no number.*; {examples}"):
+            functionals([name], problem, PROBES)
+    slips = {"strain_enrgy": "strain_energy", "mean von_misses on top": "von_mises"}
+    for name, near in slips.items():
+        with pytest.raises(InputError, match=f"; did you mean '{near}'"):
+            functionals([name], problem, PROBES)
+    with pytest.raises(InputError, match="probe is a point; 'displacement_z of probe'"):
+        functionals(["von_mises of probe"], problem, PROBES)

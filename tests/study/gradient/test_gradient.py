@@ -576,6 +576,8 @@ def test_frequencies_without_derivative() -> None:
         modal = with_one_more(case, [f"frequency_{number}"]).modal
         assert modal is not None
         assert modal.count == count
+    with pytest.raises(InputError, match="mode 3 is not among the 2 of the case"):
+        with_one_more(case, ["frequency_3"])
     with pytest.raises(InputError, match="with unknowns beside the displacement"):
         gradient(case, ["frequency_1"], ["materials.steel.E"])
 
@@ -605,8 +607,14 @@ def test_what_has_no_derivative() -> None:
     assert "materials that remember" in remembers
 
 
-def test_what_depends_on_places_has_no_derivative_by_the_shape() -> None:
-    """Prescribed displacements and constants that are formulas change where nodes move."""
+def test_what_depends_on_places_has_no_derivative_by_the_shape(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Prescribed displacements and constants that are formulas change where nodes move.
+
+    It is said before anything is solved.
+    """
+    monkeypatch.setattr(Case, "make_solver", lambda *_, **__: pytest.fail("it was solved"))
     formula = {"on": "right", "displacement": ["0.1*z", 0, 0]}
     soft = {"gel": {**TABLES["materials"]["gel"], "E": "1e6*(1+z)"}}
     cases = {"Support": {"support": [{"on": "left"}, formula]}, "gel.E": {"materials": soft}}
