@@ -120,7 +120,7 @@ def _show(table: GradientTable, folder: Path, names: list[str], *, verified: boo
             rows.add_column(head, justify="left" if head == "by" else "right")
         for d in one.by:
             order, meaning = order_text(d.order)
-            rows.add_row(*_cells(one, d), *([order] if verified else []))
+            rows.add_row(*cells_of(one, d), *([order] if verified else []))
             doubts.append(meaning)
         if one.by:
             show_table(screen, rows)
@@ -129,20 +129,23 @@ def _show(table: GradientTable, folder: Path, names: list[str], *, verified: boo
     show_files(folder, names)
 
 
-def _cells(one: Gradient, d: Derivative) -> list[str]:
+def cells_of(one: Gradient, d: Derivative) -> list[str]:
+    """A row of the table without the order: by, at, derivative, 1 % more."""
     from dolfin_elastic.cli.console import TYPED
     from dolfin_elastic.core.si_text import scaled_unit
-    from dolfin_elastic.study.gradient.table import relative
+    from dolfin_elastic.study.gradient.table import told_change
 
     factor, unit = scaled_unit(d.value, one.unit)
     per = f"{unit or 1} per {d.unit}" if d.unit else unit
-    change = relative(one, d)
+    change, by = told_change(one, d)
     value = f"{d.value / factor:.5g} {per}".rstrip() if change else "0"
     return [
         d.key,
         f"{d.at:g} {d.unit}".rstrip() if d.at else "0",
         value.translate(TYPED),
-        f"{change:+.3g} %" if change and math.isfinite(change) else "0" * (change == 0.0),
+        f"{change:+.3g} %{f' for {by}' if by else ''}"
+        if change and math.isfinite(change)
+        else "0" * (change == 0.0),
     ]
 
 

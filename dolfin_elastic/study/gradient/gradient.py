@@ -203,7 +203,8 @@ class _By:
                     expected="another number, or `sweep`",
                 )
             size = parameter.step / STEP
-            by.append(Derivative(parameter.key, parameter.value, parameter.unit, slope, size))
+            key, at, unit = parameter.key, parameter.value, parameter.unit
+            by.append(Derivative(key, at, unit, slope, size, room=parameter.room))
         cells = {one.key: one.by_logarithm(solution, functional) for one in self._cells or ()}
         nodes = None
         if self._shape is not None:

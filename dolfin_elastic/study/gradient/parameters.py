@@ -9,6 +9,7 @@ Source of the differences: B. Fornberg, Math. Comp. 51 (1988) 699, table 1.
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -204,7 +205,10 @@ class Parameter(ABC):
         value: In `unit`.
         unit: As the case has it, or that of a bare number there; empty of pure numbers.
         step: Of the differences.
+        room: By how much it may be larger, in `unit`.
     """
+
+    room = math.inf
 
     def __init__(self, key: str, value: float, unit: str, step: float) -> None:
         self.key, self.value, self.unit, self.step = key, value, unit, step
@@ -232,18 +236,18 @@ class MaterialConstant(Parameter):
 
     Args:
         constant: Of the forms, in SI units.
-        room: Distance of its value from those that are impossible.
+        rooms: Distances of its value from smaller and larger ones that are impossible.
         written: Number and unit, see `_written`.
     """
 
     def __init__(
-        self, key: str, constant: Constant, room: float, written: tuple[float, str]
+        self, key: str, constant: Constant, rooms: tuple[float, float], written: tuple[float, str]
     ) -> None:
-        value = float(constant.value)
+        value, room = float(constant.value), min(rooms)
         number, unit = written
         self._size = value / number if number else to_base(f"1 {unit}") if unit else 1.0
         super().__init__(key, number, unit, STEP * min(abs(value) or room, room) / self._size)
-        self._constant = constant
+        self._constant, self.room = constant, rooms[value > 0.0] / self._size
 
     def evaluated(self, basis: Basis, value: float) -> Sides:
         """See `Parameter`."""
@@ -419,14 +423,14 @@ def _parameter(key: str, problem: Problem, case: Case | None) -> Parameter:
         )
         value = float(known[key].value)
         written = _written(case, key, problem, value)
-        room = min(value - allowed.low, allowed.high - value) if allowed else np.inf
-        if room == 0.0 or (value == 0.0 and np.isinf(room)):
+        rooms = (value - allowed.low, allowed.high - value) if allowed else (np.inf, np.inf)
+        if min(rooms) == 0.0 or (value == 0.0 and np.isinf(min(rooms))):
             raise InputError(
                 f"'{key}' is 0 or at the end of its range, where no size of a step is known",
                 where=_OPTION,
                 expected="a value beside it, or `sweep`",
             )
-        return MaterialConstant(key, known[key], room, written)
+        return MaterialConstant(key, known[key], rooms, written)
     if case is None:
         raise InputError(
             f"there is no parameter '{key}'", where=_OPTION, expected=nearest(key, known)

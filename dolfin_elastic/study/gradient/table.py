@@ -42,6 +42,7 @@ class Derivative:
             is impossible, or of a cell.
         order: With which Taylor's remainder falls with the step, 2 of a right derivative; nan
             where nobody has looked, or where nothing but round-off is left of it.
+        room: By how much the parameter may be larger, in `unit`.
     """
 
     key: str
@@ -49,7 +50,8 @@ class Derivative:
     unit: str
     value: float
     size: float
-    order: float = float("nan")
+    order: float = math.nan
+    room: float = math.inf
 
 
 @dataclass(frozen=True)
@@ -145,6 +147,20 @@ def relative(one: Gradient, derivative: Derivative) -> float:
     return result if abs(result) > _NOTHING else 0.0
 
 
+def told_change(one: Gradient, derivative: Derivative) -> tuple[float, str]:
+    """Change of Q in per cent where m is 1 % larger, or by less where so large a one cannot be.
+
+    Returns:
+        It, nan where `relative` is; and by how much m is larger, empty: by 1 %.
+    """
+    change, at, room = relative(one, derivative), derivative.at, derivative.room
+    if not at or 0.01 * abs(at) < room:
+        return change, ""
+    step = 10.0 ** math.floor(math.log10(room / 2))
+    by = f"{math.copysign(step, at):+g} {derivative.unit}".rstrip()
+    return change * 100 * step / abs(at), by
+
+
 @plain_matplotlib()
 def _draw(table: GradientTable, path: Path) -> None:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -153,7 +169,7 @@ def _draw(table: GradientTable, path: Path) -> None:
     panels = [
         (one, sorted(rows, key=lambda row: abs(row[1]))[-_MOST:])
         for one in table.gradients
-        if (rows := [(d.key, r) for d in one.by if math.isfinite(r := relative(one, d))])
+        if (rows := _bars(one))
     ]
     heights = [0.5 + 0.32 * len(rows) for _, rows in panels]
     figure = Figure(figsize=(7, 0.6 + sum(heights) + 0.5 * len(panels)), layout="constrained")
@@ -165,6 +181,12 @@ def _draw(table: GradientTable, path: Path) -> None:
     axes[-1].set_xlabel("change [%] where the parameter is 1 % larger")
     with drafted(path) as draft:
         figure.savefig(draft, format="png", dpi=130)
+
+
+def _bars(one: Gradient) -> list[tuple[str, float]]:
+    """Key and change [%] of each parameter that has one."""
+    rows = [(d.key, *told_change(one, d)) for d in one.by]
+    return [(f"{key} ({by})" if by else key, r) for key, r, by in rows if math.isfinite(r)]
 
 
 def draw_bars(axis: Axes, rows: Sequence[tuple[str, float]]) -> None:

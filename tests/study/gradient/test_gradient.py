@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
@@ -310,8 +311,10 @@ def test_numbers_without_a_unit_have_that_of_the_case() -> None:
     tables["load"][2]["moment"] = [0.0, 5.0, 0.0]
     case = Case.from_dict(tables)
     problem = Case.from_dict({**tables, "contact": []}).make_problem(case.read_body())
-    found = {one.key: one.unit for one in parameters([*BARE], problem, case)}
-    assert found == BARE
+    found = {one.key: one for one in parameters([*BARE], problem, case)}
+    assert {key: one.unit for key, one in found.items()} == BARE
+    assert found["materials.gel.nu"].room == pytest.approx(0.2)
+    assert math.isinf(found["materials.gel.E"].room)
 
 
 SIDES = {"on": ["left", "right", "front", "back"], "displacement": [0, 0, "free"]}

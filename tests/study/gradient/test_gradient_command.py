@@ -6,7 +6,8 @@ import math
 
 import pytest
 
-from dolfin_elastic.cli.tools.gradient import order_text
+from dolfin_elastic.cli.tools.gradient import cells_of, order_text
+from dolfin_elastic.study.gradient.table import Derivative, Gradient
 
 
 @pytest.mark.parametrize(
@@ -24,3 +25,18 @@ def test_orders_that_are_not_two(order: float, text: str, meaning: str) -> None:
     shown, told = order_text(order)
     assert shown == text
     assert meaning in told and bool(meaning) == bool(told)
+
+
+@pytest.mark.parametrize(
+    ("at", "room", "text"),
+    [
+        (0.499, 0.001, "-0.03 % for +0.0001"),  # 0.504 is none
+        (0.4, 0.1, "-1.2 %"),
+        (-0.3, 0.7, "+0.9 %"),
+        (-0.999, 0.001, "+0.03 % for -0.0001"),
+    ],
+)
+def test_one_per_cent_more_is_possible(at: float, room: float, text: str) -> None:
+    """Beside the end of the range of a number the change is told for a smaller step."""
+    d = Derivative("materials.gel.nu", at, "", -6.0, room, room=room)
+    assert cells_of(Gradient("strain_energy", 2.0, "J", (d,)), d)[3] == text
