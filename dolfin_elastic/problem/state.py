@@ -36,8 +36,8 @@ class Audit:
             the norms of these nodal forces; axial components only in an axisymmetric body; nan of a
             periodic cell.
         moment: The same of their moments about the origin; nan where moments need not balance.
-        work: Work of loads, springs and supports on the body since the start [J], by the
-            trapezoidal rule.
+        work: Work of loads, supports, springs and contact with its friction on the body since the
+            start [J], by the trapezoidal rule.
         energy: Strain energy, in motion with kinetic energy, minus that of the start [J]; nan where
             a law has no strain energy.
         min_jacobian: Smallest det F at the quadrature points of the energy.

@@ -296,7 +296,8 @@ def _audit_lines(audit: Table, summary: Table) -> Iterator[str]:
     work, stored = audit.get("external_work"), audit.get("stored_energy")
     if isinstance(work, int | float) and isinstance(stored, int | float):
         yield (
-            f"Work of loads and supports: {quantity(work, 'J')}; energy in the body: "
+            "Work of all forces on the body, those of springs and contact among them: "
+            f"{quantity(work, 'J')}{_rubbed(summary)}; energy in the body: "
             f"{quantity(stored, 'J')}."
         )
     yield from _damping_lines(summary)
@@ -309,6 +310,18 @@ def _audit_lines(audit: Table, summary: Table) -> Iterator[str]:
     limits = [x for x in summary.get("limit_points") or [] if isinstance(x, int | float)]
     if limits:
         yield f"Limit points were passed at the load factors {', '.join(map(number, limits))}."
+
+
+def _rubbed(summary: Table) -> str:
+    """What friction has taken of the work of the other forces."""
+    numbers = summary.get("numbers")
+    rows = numbers.items() if isinstance(numbers, Mapping) else ()
+    lost = sum(
+        float(value)
+        for key, value in rows
+        if key.startswith("friction_dissipation_") and isinstance(value, int | float)
+    )
+    return f", after friction has taken {quantity(lost, 'J')}" if lost > 0.0 else ""
 
 
 def _damping_lines(summary: Table) -> Iterator[str]:

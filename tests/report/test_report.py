@@ -31,7 +31,7 @@ from dolfin_elastic.notebook.report_view import show_report
 from dolfin_elastic.report import pdf, still
 from dolfin_elastic.report.balance import balance_of, loads_of, supports_of
 from dolfin_elastic.report.charts import Axis, Line, line_chart
-from dolfin_elastic.report.contents import history_charts, last_values, residual_chart
+from dolfin_elastic.report.contents import audit_of, history_charts, last_values, residual_chart
 from dolfin_elastic.report.drawn import drawn_frames, scene_of
 from dolfin_elastic.report.laws import _constants
 from dolfin_elastic.report.page import json_text
@@ -389,6 +389,18 @@ def test_no_curves_of_round_off(tmp_path: Path) -> None:
     assert residual_chart({"convergence": residuals}) is None
     residuals["last"]["residuals"] = [80.0, 2.0, 1e-2, 1e-7]
     assert residual_chart({"convergence": residuals}) is not None
+
+
+def test_friction_is_told_beside_the_work(tmp_path: Path) -> None:
+    """A block that is pulled 10 mm against 6 N: work on it is 60 mJ less what friction takes."""
+    audit = {"verdict": "pass", "external_work": 1.25e-4, "stored_energy": 1.25e-4}
+    summary = {"steps": 1, "audit": audit, "numbers": {"friction_dissipation_floor": 0.06}}
+    (tmp_path / "summary.json").write_text(json.dumps(summary), encoding="utf-8")
+    (line,) = [one for one in audit_of(FinishedRun(tmp_path)).lines if one.startswith("Work")]
+    assert line == (
+        "Work of all forces on the body, those of springs and contact among them: 125 µJ, after "
+        "friction has taken 60 mJ; energy in the body: 125 µJ."
+    )
 
 
 def test_loads_that_do_not_act(tmp_path: Path) -> None:
