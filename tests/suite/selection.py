@@ -259,7 +259,7 @@ ENDURING = ("fifty_periods", "test_second_order", "to_second_order")
 that wait for each other take minutes each: on one rank only; the steps are the same on several."""
 QUICK = 1
 """Parameters of each test in the quick set, unless it says so itself."""
-PLENTY, PLENTY_OF_LONG = 4, 2
+PLENTY, PLENTY_OF_LONG = 3, 1
 """Parameters of each test on one rank in the rest, and of a `long` one, except of TEXTS: all of
 them by --all."""
 TEXTS = {
