@@ -4,7 +4,8 @@
 from __future__ import annotations
 
 import math
-from pathlib import Path
+import re
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -18,6 +19,7 @@ from dolfin_elastic.core.startup.libraries import start
 if TYPE_CHECKING:
     from dolfin_elastic.study.gradient.table import Derivative, Gradient, GradientTable
 
+_ORDER = re.compile(r"norm:(\d+) ")
 _DOUBTS = {
     " (!)": (
         -math.inf,
@@ -66,7 +68,7 @@ def gradient(
 
     \b
       dolfin-elastic gradient hook.toml --of "displacement_z of tip" --by materials.steel.E
-      dolfin-elastic gradient hook.toml --of "von_mises on fillet" --by load[0].value[2] \\
+      dolfin-elastic gradient hook.toml --of "von_mises on fillet" --by "load[0].value[2]" \\
                                         --offset fillet --verify
       dolfin-elastic gradient hook.toml --of strain_energy --field materials.steel.E
 
@@ -81,9 +83,10 @@ def gradient(
     options, at_start = parse_arguments(petsc or [])
     start(at_start)
     from dolfin_elastic.case.case import read_case
+    from dolfin_elastic.cli.console import show_files
     from dolfin_elastic.study.gradient.gradient import Asked, gradients_of
     from dolfin_elastic.study.gradient.table import GradientTable
-    from dolfin_elastic.study.gradient.written import write_gradient
+    from dolfin_elastic.study.gradient.written import largest_values, write_gradient
 
     asked = Asked(*(tuple(dict.fromkeys(names or ())) for names in (of, by, field, offset)))
     if not (asked.by or asked.fields or asked.offsets):
@@ -98,17 +101,23 @@ def gradient(
     check_kept(folder, "--output" if output is not None else "output.folder")
     Stop(folder)
     found = gradients_of(read, asked, petsc=options, verify=verify, comm=comm)
-    names = write_gradient(found, folder)
+    names, fields = write_gradient(found, folder), largest_values(found)
     if comm.rank == 0 and not quiet:
-        _show(GradientTable(found.gradients), folder, names, verified=verify)
+        show(GradientTable(found.gradients), fields, verified=verify)
+        show_files(folder, names)
 
 
-def _show(table: GradientTable, folder: Path, names: list[str], *, verified: bool) -> None:
-    """Prints the table, and what was written."""
+def show(table: GradientTable, fields: Sequence[str], *, verified: bool) -> None:
+    """Prints the table.
+
+    Args:
+        fields: What is told of each field.
+        verified: Also Taylor's orders.
+    """
     from rich.box import SIMPLE_HEAD
     from rich.table import Table
 
-    from dolfin_elastic.cli.console import TYPED, console, show_files, show_table
+    from dolfin_elastic.cli.console import TYPED, console, show_table
     from dolfin_elastic.core.si_text import quantity
 
     screen, doubts = console(), list[str]()
@@ -124,9 +133,10 @@ def _show(table: GradientTable, folder: Path, names: list[str], *, verified: boo
             doubts.append(meaning)
         if one.by:
             show_table(screen, rows)
-    for meaning in filter(None, dict.fromkeys(doubts)):
-        screen.tell(meaning)
-    show_files(folder, names)
+    for text in (*fields, *filter(None, dict.fromkeys(doubts))):
+        screen.tell(text.translate(TYPED))
+    for p in {found[1]: "" for one in table.gradients if (found := _ORDER.match(one.name))}:
+        screen.tell(f"norm:{p} is the p-norm of order {p}, which is below the largest value")
 
 
 def cells_of(one: Gradient, d: Derivative) -> list[str]:

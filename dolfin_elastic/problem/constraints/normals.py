@@ -89,9 +89,8 @@ def surface_normals(body: Body, V: fem.FunctionSpace, name: str) -> SurfaceNorma
     )
     if smallest(body.comm, float(np.min(sharp, initial=1.0))) < KINK:
         log.warning(
-            "the surface '%s' has an edge, where its nodes are constrained along a mean normal "
-            "only: "
-            "name its sides apart",
+            "the surface '%s' has an edge, where its nodes have a mean normal only: name its sides "
+            "apart",
             name,
         )
     return SurfaceNormals(

@@ -123,7 +123,9 @@ class SymmetricPart:
                 return
             self._left, self._pause = self._pause, 2 * self._pause
             log.info(
-                "far from symmetric: the next %d tangents are factorised themselves", self._left
+                "the tangent is far from symmetric: the next %d are factorised by LU, in place of "
+                "LDL^T of their symmetric part",
+                self._left,
             )
             self._factorise(pc, pc.getOperators()[1])
         self.factors.apply(x, y)

@@ -31,6 +31,7 @@ from dolfin_elastic.solvers.assembly.dofs import ConstrainedDofs
 from dolfin_elastic.solvers.nonlinear.adjoint import AdjointState
 from dolfin_elastic.study.gradient.functionals import Functional
 from dolfin_elastic.study.gradient.parameters import STEP, WEIGHTS
+from dolfin_elastic.study.quiet import quietly
 
 
 class _Field:
@@ -285,7 +286,8 @@ class Shape(_Field):
 
     def offset(self, surface: str) -> FloatArray:
         """Motion of a surface, see `nodes_moved`, at owned entries of `V`. Collective."""
-        rows = _normals(self.problem.body, self.V, surface)
+        with quietly():  # an edge was told by `nodes_moved`
+            rows = _normals(self.problem.body, self.V, surface)
         return rows[: self.V.dofmap.index_map.size_local].reshape(-1)
 
     def at_nodes(self, entries: FloatArray) -> FloatArray:

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from dolfin_elastic.core.parallel import on_root
+from dolfin_elastic.core.parallel import largest, on_root
+from dolfin_elastic.core.si_text import quantity
 from dolfin_elastic.mesh.fields import MeshField
 from dolfin_elastic.mesh.geometry.curved import cell_volumes
 from dolfin_elastic.results.files import json_data, make_folder, replace_text
@@ -16,9 +16,6 @@ from dolfin_elastic.results.writers.xdmf import write_with_fields
 from dolfin_elastic.study.gradient.gradient import Found
 from dolfin_elastic.study.gradient.table import GradientTable
 from dolfin_elastic.study.tabled import csv_text
-
-if TYPE_CHECKING:
-    pass
 
 TABLE, SUMMARY, PLOT, FIELDS = FILES = (
     "gradient.csv",
@@ -56,22 +53,39 @@ def write_gradient(found: Found, folder: Path) -> list[str]:
 
     on_root(comm, texts)
     if fields:
-        write_with_fields(found.problem, found.state, folder / FIELDS, fields)
+        named = {" by ".join(names): field for names, field in fields.items()}
+        write_with_fields(found.problem, found.state, folder / FIELDS, named)
     return written
 
 
-def _fields(found: Found) -> dict[str, MeshField]:
-    """Gradients by fields as fields of the body, by their names. Not collective.
+def largest_values(found: Found) -> list[str]:
+    """The largest value of each field in words. Collective."""
+    body, units = found.problem.body, {_plain(one.name): one.unit for one in found.gradients}
+    lines = []
+    for name, field in _fields(found).items():
+        sizes = np.linalg.norm(field.values, axis=1)
+        most = quantity(largest(body.comm, float(sizes.max(initial=0.0))), units[name[0]])
+        over = f"m^{body.dim}" if field.centre == "cell" else "m"
+        lines.append(f"{' by '.join(name)}: at most {most} per {over}")
+    return lines
+
+
+def _plain(name: str) -> str:
+    return name.replace(":", " ")
+
+
+def _fields(found: Found) -> dict[tuple[str, str], MeshField]:
+    """Gradients by fields as fields of the body, by what of what. Not collective.
 
     Values of cells are those of all, dQ/d ln m, over the volume of the cell, so that they do not
     depend on the mesh.
     """
-    body, result = found.problem.body, dict[str, MeshField]()
+    body, result = found.problem.body, dict[tuple[str, str], MeshField]()
     volumes = cell_volumes(body.mesh)[: len(body.owned_cells())]
     for one in found.gradients:
-        plain = one.name.replace(":", " ")
+        plain = _plain(one.name)
         for key, values in one.cells.items():
-            result[f"{plain} by {key}"] = MeshField("cell", (values / volumes)[:, None])
+            result[plain, key] = MeshField("cell", (values / volumes)[:, None])
         if one.nodes is not None:
-            result[f"{plain} by shape"] = MeshField("point", np.ascontiguousarray(one.nodes))
+            result[plain, "shape"] = MeshField("point", np.ascontiguousarray(one.nodes))
     return result

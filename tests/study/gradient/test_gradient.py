@@ -37,11 +37,13 @@ from dolfin_elastic import (
 )
 from dolfin_elastic.case.case import Case
 from dolfin_elastic.core.errors import InputError
-from dolfin_elastic.core.parallel import total
-from dolfin_elastic.study.gradient.gradient import Asked, Gradients, gradient
+from dolfin_elastic.core.parallel import largest, total
+from dolfin_elastic.core.si_text import quantity
+from dolfin_elastic.study.gradient.gradient import Asked, Gradients, gradient, gradients_of
 from dolfin_elastic.study.gradient.modes import with_one_more
 from dolfin_elastic.study.gradient.parameters import Equilibrium, parameters
 from dolfin_elastic.study.gradient.table import draw_bars
+from dolfin_elastic.study.gradient.written import largest_values
 
 COMM = MPI.COMM_WORLD
 STEP = 1e-3
@@ -680,3 +682,20 @@ def test_bars_of_both_signs() -> None:
     assert inks[1] == inks[2] and inks[0] == inks[3] and inks[0] != inks[1]
     assert [one.get_text() for one in axis.texts] == ["+1 %", "−0.001 %", "−0.4 %", "0"]
     assert axis.get_xlim() == pytest.approx((-0.75, 1.35))
+
+
+def test_fields_are_told_and_edges_once(caplog: pytest.LogCaptureFixture) -> None:
+    """The largest value of each field of gradient.xdmf; a surface with an edge is told once."""
+    tables = {**TABLES, "surfaces": {"roof": ["top", "front"]}}
+    asked = Asked(["strain_energy"], fields=["materials.gel.E"], offsets=["roof"])
+    found = gradients_of(Case.from_dict(tables), asked)
+    (one,) = found.gradients
+    assert one.nodes is not None
+    most = largest(COMM, float(np.abs(one.cells["materials.gel.E"]).max()) / (2.0 / 96))
+    shape = largest(COMM, float(np.linalg.norm(one.nodes, axis=1).max()))
+    assert largest_values(found) == [
+        f"strain_energy by materials.gel.E: at most {quantity(most, 'J')} per m^3",
+        f"strain_energy by shape: at most {quantity(shape, 'J')} per m",
+    ]
+    if COMM.rank == 0:  # that alone logs
+        assert caplog.text.count("the surface 'roof' has an edge") == 1

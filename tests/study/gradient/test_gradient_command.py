@@ -6,8 +6,8 @@ import math
 
 import pytest
 
-from dolfin_elastic.cli.tools.gradient import cells_of, order_text
-from dolfin_elastic.study.gradient.table import Derivative, Gradient
+from dolfin_elastic.cli.tools.gradient import cells_of, gradient, order_text, show
+from dolfin_elastic.study.gradient.table import Derivative, Gradient, GradientTable
 
 
 @pytest.mark.parametrize(
@@ -40,3 +40,18 @@ def test_one_per_cent_more_is_possible(at: float, room: float, text: str) -> Non
     """Beside the end of the range of a number the change is told for a smaller step."""
     d = Derivative("materials.gel.nu", at, "", -6.0, room, room=room)
     assert cells_of(Gradient("strain_energy", 2.0, "J", (d,)), d)[3] == text
+
+
+def test_norms_are_named(capsys: pytest.CaptureFixture[str]) -> None:
+    """A norm stands for the largest value that was asked for."""
+    one = Gradient("norm:16 von_mises", 2.0, "Pa", ())
+    fields = ["norm 16 von_mises by shape: at most 3 Pa per m"]
+    show(GradientTable((one, one)), fields, verified=True)
+    out = capsys.readouterr().out
+    assert out.count("norm:16 is the p-norm of order 16, which is below the largest value") == 1
+    assert "at most 3 Pa per m" in out
+
+
+def test_keys_with_brackets_are_quoted() -> None:
+    """A shell takes brackets for a pattern of file names."""
+    assert '--by "load[0].value[2]"' in str(gradient.__doc__)
