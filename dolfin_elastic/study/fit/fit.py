@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -17,11 +17,12 @@ from dolfin_elastic.model.materials.isochoric import Isochoric
 from dolfin_elastic.model.materials.law import Law
 from dolfin_elastic.model.materials.library import completed
 from dolfin_elastic.study.fit.constants import chosen, guessed, marked_rows, with_numbers
+from dolfin_elastic.study.fit.constrained import Condition, Constrained, PositiveShear
 from dolfin_elastic.study.fit.curves import KINDS, TestCurve, as_curve, known_kind
 from dolfin_elastic.study.fit.homogeneous import HomogeneousTests
 from dolfin_elastic.study.fit.model import Model
 from dolfin_elastic.study.fit.remarks import remarks
-from dolfin_elastic.study.fit.stable import STABLE, Stabilised, stability
+from dolfin_elastic.study.fit.stable import Stability, stability
 from dolfin_elastic.study.least_squares.certainty import certainty
 from dolfin_elastic.study.least_squares.fitted import (
     FittedConstant,
@@ -90,6 +91,8 @@ class Fit:
         same: How many of them have come to this answer.
         model: Law and tests as functions of the constants over their scales.
         z: These.
+        condition: That binds, "that of stability"; empty: none does. Intervals are those without
+            it.
     """
 
     law: Law
@@ -105,6 +108,7 @@ class Fit:
     same: int
     model: Model = field(repr=False)
     z: FloatArray = field(repr=False)
+    condition: str = ""
 
     @cached_property
     def stability(self) -> tuple[str, ...]:
@@ -205,39 +209,36 @@ def fit_curves(
         first = search(Model(twin, curves, constants), many, evaluations)
         model.start = np.clip(first.z, model.low, model.high)
         answer = replace(search(model, 1, evaluations), starts=first.starts, same=first.same)
-    if not stable:
-        return _result(begin, start, model, constants, answer)
+    condition: Condition | None = None
+    if stable:
+        condition = Stability(model, start)
+    elif isinstance(start, Isochoric):
+        condition = PositiveShear(model, start)
+    found = answer if condition is None else Constrained(condition, answer, evaluations).answer
+    result = _result(begin, start, model, constants, found)
+    if condition is None or found.z is answer.z:
+        return result
+    cost = _cost(condition, answer.z, found.z)
+    return replace(result, condition=condition.name, notes=(cost, *result.notes))
 
-    def is_stable(z: FloatArray) -> bool:
-        values = {row.name: float(x) for row, x in zip(model.free, z * model.scale, strict=True)}
-        try:
-            return STABLE in stability(with_numbers(start, values), model, z)
-        except InputError:  # the law does not accept them
-            return False
 
-    found = Stabilised(model, answer, is_stable, evaluations).answer
-    return _result(begin, start, model, constants, found, _cost(model, answer.z, found))
-
-
-def _cost(model: Model, free: FloatArray, found: Answer) -> Iterator[str]:
-    """What stability costs: the errors without the condition and with it."""
-    if not found.ended or found.z is free:
-        return
+def _cost(condition: Condition, free: FloatArray, found: FloatArray) -> str:
+    """What a condition costs: the errors without it and with it."""
+    model = condition.model
     errors = [
         [
             percent(FittedCurve(curve, P).relative)
             for curve, P in zip(model.curves, model.by_curve(stresses), strict=True)
         ]
-        for stresses in model.stresses(np.array([free, found.z]))
+        for stresses in model.stresses(np.array([free, found]))
     ]
     both = (
         f"{curve.kind} {before} and {after}"
         for curve, before, after in zip(model.curves, *errors, strict=True)
     )
-    yield (
-        "without the condition the law is not stable over the range of the tests; r.m.s. errors "
-        f"over the largest stress without and with it: {', '.join(both)}; the intervals do not "
-        "count it"
+    return (
+        f"without a condition {condition.without}; r.m.s. errors over the largest stress without "
+        f"and with it: {', '.join(both)}; the intervals are those without it"
     )
 
 
@@ -324,17 +325,12 @@ def read_curves(
 
 
 def _result(
-    begin: Start,
-    start: Law,
-    model: Model,
-    constants: list[Constant],
-    answer: Answer,
-    cost: Iterable[str] = (),
+    begin: Start, start: Law, model: Model, constants: list[Constant], answer: Answer
 ) -> Fit:
     known = certainty(model, answer.z)
     values = dict(zip((row.name for row in model.free), answer.z * model.scale, strict=True))
     rows = fitted_constants(constants, model, answer.z, known)
-    notes = [*cost]
+    notes = list[str]()
     try:
         law = with_numbers(start, {name: float(x) for name, x in values.items()})
     except InputError as error:

@@ -1,24 +1,21 @@
 """Stability over the range of the tests: where a fitted law has it, and how a fit gets it.
 
 Stable means strongly elliptic, and a nominal stress that rises; `model.point.stable_range` has the
-sources.  A fit that is to be stable makes least the sum of squares and
+sources.  With the size s of the stresses the condition of a fit that is to be stable is, in states
+of the tests,
 
-    w sum max(0, c - g)^2,   g = (smallest eigenvalue of the acoustic tensor, slope of the stress)/s
-
-over states of the tests, with the size s of the stresses and a small c.  w grows until g > 0.
-
-Source: J. Nocedal and S. Wright, Numerical Optimization (2006), section 17.1 (exterior penalties).
+    g = (smallest eigenvalue of the acoustic tensor, slope of the stress)/s > 0.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Iterator
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
-from dolfin_elastic.core.errors import CaseError
+from dolfin_elastic.core.errors import CaseError, InputError
 from dolfin_elastic.core.types import AnyArray, FloatArray
 from dolfin_elastic.model.materials.law import Law
 from dolfin_elastic.model.point.ellipticity import acoustic_eigenvalues, directions
@@ -26,21 +23,15 @@ from dolfin_elastic.model.point.homogeneous_tests import DeformationMode
 from dolfin_elastic.model.point.stable_range import rising
 from dolfin_elastic.model.point.tested import with_finite_moduli
 from dolfin_elastic.model.point.ufl_to_numpy import LawAtPoints
+from dolfin_elastic.study.fit.constrained import Condition
 from dolfin_elastic.study.fit.curves import TestCurve
 from dolfin_elastic.study.fit.homogeneous import HomogeneousTests
-from dolfin_elastic.study.fit.model import Model, differentiated
-from dolfin_elastic.study.least_squares.search import Answer, spread
+from dolfin_elastic.study.fit.model import Model
 
 _GRID = 16
 """Points to each side of the rest at which stability is looked at."""
-_MARGIN = 1e-3
-"""Of g, to be above zero between the points, too."""
-_STAGES = ((1e2, 1e-5), (1e4, 1e-5), (1e6, 1e-8))
-"""Weights w of what stability lacks, each with the tolerance of its search."""
-_SAME = 1e-3
-"""Relative difference of two sums of squares that are the same answer."""
-_STARTS, _SPREAD = 2, 24
-"""Further starts, and directions of waves beside the axes and diagonals."""
+_SPREAD = 24
+"""Directions of waves beside the axes and diagonals."""
 
 
 @dataclass(frozen=True)
@@ -105,25 +96,57 @@ def stability(law: Law, model: Model, z: FloatArray) -> Iterator[str]:
 STABLE = "stable over the range of the tests: elliptic, and the force rises"
 
 
-class _Penalised:
-    """Weighted differences from what was measured, and below them what stability lacks."""
+@dataclass(frozen=True)
+class Stability(Condition):
+    """The law is stable over the range of the tests.
 
-    def __init__(self, model: Model, tests: HomogeneousTests) -> None:
-        self._model, self._tests = model, tests
-        self._ranges, self._N = _ranges(model), directions(_SPREAD)
-        self._size = max(curve.size for curve in model.curves)
-        self.weight = 1.0
-        self._last: tuple[FloatArray, FloatArray, FloatArray] | None = None
+    Raises:
+        CaseError: The stability of the law is not looked at.
+    """
 
-    def lacks(self, z: FloatArray) -> FloatArray:
-        """max(0, c - g) in all states, shape (m, 2 n), for sets of constants of shape (m, k)."""
+    name = "that of stability"
+    without = "the law is not stable over the range of the tests"
+    nowhere = "no constants were found with which the law is stable over the tests"
+
+    def __post_init__(self) -> None:
+        tests = self.model.tests
+        if not isinstance(tests, HomogeneousTests) or tests.linear or not self._ranges:
+            raise CaseError(
+                "the stability of this law in these tests is not known",
+                where="--stable",
+                expected="a law of large strains, without a memory but `viscous`, and a test that "
+                "is not volumetric",
+            )
+
+    @cached_property
+    def _ranges(self) -> list[_Range]:
+        return _ranges(self.model)
+
+    @cached_property
+    def _tests(self) -> HomogeneousTests:
+        assert isinstance(self.model.tests, HomogeneousTests)
+        return self.model.tests
+
+    @cached_property
+    def _N(self) -> FloatArray:
+        """Directions of waves."""
+        return directions(_SPREAD)
+
+    def holds(self, z: FloatArray) -> bool:
+        """See `Condition`."""
+        try:
+            return STABLE in stability(self.law_at(z), self.model, z)
+        except InputError:  # the law does not accept them
+            return False
+
+    def margins(self, z: FloatArray) -> FloatArray:
+        """Least eigenvalues of the acoustic tensor and slopes of the stress, in all states."""
         parts = []
         for one in self._ranges:
-            F, P, A = self._tests.tangents(one.curve, z * self._model.scale)
+            F, P, A = self._tests.tangents(one.curve, z * self.model.scale)
             least = self._acoustic(F, A).reshape(len(z), -1)
-            parts += [least / self._size, np.diff(P, axis=1) / np.diff(one.x) / self._size]
-        g = np.nan_to_num(np.hstack(parts), nan=-1.0, posinf=1.0, neginf=-1.0)
-        return np.maximum(0.0, _MARGIN - g)
+            parts += [least / self.size, np.diff(P, axis=1) / np.diff(one.x) / self.size]
+        return np.hstack(parts)
 
     def _acoustic(self, F: AnyArray, A: AnyArray) -> AnyArray:
         """Smallest eigenvalue over all directions [Pa]; of waves that leave the volume as it is."""
@@ -136,109 +159,6 @@ class _Penalised:
             n /= np.linalg.norm(n, axis=-1, keepdims=True)
             along = n[..., :, None] * n[..., None, :]
             across = np.eye(3) - along
-            Q = across @ Q @ across + 1e6 * self._size * along
+            Q = across @ Q @ across + 1e6 * self.size * along
         result[good] = np.linalg.eigvalsh(Q)[..., 0].min(axis=1)
         return result
-
-    def residuals(self, z: FloatArray) -> FloatArray:
-        """Shape (N + 2 n,)."""
-        return self._both(z)[0]
-
-    def sensitivities(self, z: FloatArray) -> FloatArray:
-        """Derivatives of `residuals`, shape (N + 2 n, k)."""
-        return self._both(z)[1]
-
-    def _both(self, z: FloatArray) -> tuple[FloatArray, FloatArray]:
-        if self._last is None or not np.array_equal(self._last[0], z):
-            model = self._model
-            self._last = z.copy(), *differentiated(self.lacks, z, model.low, model.high)
-        root = np.sqrt(self.weight)
-        return (
-            np.concatenate([self._model.residuals(z), root * self._last[1]]),
-            np.vstack([self._model.sensitivities(z), root * self._last[2]]),
-        )
-
-
-@dataclass(frozen=True)
-class Stabilised:
-    """A search for constants with which the law is stable over the range of the tests.
-
-    Args:
-        free: Where the search without this condition has ended.
-        stable: Whether the law is stable with constants over their scales.
-        evaluations: Largest number of steps from each start, and with each weight.
-
-    Raises:
-        CaseError: The stability of the law is not looked at.
-    """
-
-    model: Model
-    free: Answer
-    stable: Callable[[FloatArray], bool]
-    evaluations: int
-
-    def __post_init__(self) -> None:
-        tests = self.model.tests
-        if not isinstance(tests, HomogeneousTests) or tests.linear or not _ranges(self.model):
-            raise CaseError(
-                "the stability of this law in these tests is not known",
-                where="--stable",
-                expected="a law of large strains, without a memory but `viscous`, and a test that "
-                "is not volumetric",
-            )
-
-    @cached_property
-    def answer(self) -> Answer:
-        """That without the condition if it is stable; the best one that was found to be so, else.
-
-        Where there is none, it has not ended.
-        """
-        if self.stable(self.free.z):
-            return self.free
-        ends, starts = list[Answer](), [self.free.z, *spread(self.model, _STARTS)]
-        for z in starts:
-            least = min((end.cost for end in ends), default=np.inf)
-            if (end := self._descend(z, least * (1 + _SAME))) is not None:
-                ends.append(end)
-        if not ends:
-            why = "no constants were found with which the law is stable over the tests"
-            return replace(self.free, ended=False, why=why)
-        best = min(ends, key=lambda one: one.cost)
-        same = sum(one.cost <= best.cost * (1 + _SAME) for one in ends)
-        return replace(best, starts=len(starts), same=same)
-
-    def _descend(self, z: FloatArray, most: float) -> Answer | None:
-        """Where a descent ends; None: it cannot begin, is not stable there, or has lost.
-
-        Args:
-            most: Sum of squares that others have reached: with the penalties it only grows with w.
-        """
-        from scipy.optimize import least_squares
-
-        model, tests = self.model, self.model.tests
-        assert isinstance(tests, HomogeneousTests)
-        part = _Penalised(model, tests)
-        inside = 1e-8 * np.maximum(np.abs(z), 1e-3)
-        z = np.clip(z, model.low + inside, model.high - inside)
-        if not np.isfinite(model.sensitivities(z)).all():
-            return None
-        size = np.where(self.free.z != 0, np.abs(self.free.z), 1.0)  # tolerances are of all alike
-        for part.weight, tolerance in _STAGES:
-            found = least_squares(
-                lambda x: part.residuals(x * size),
-                z / size,
-                lambda x: part.sensitivities(x * size) * size,
-                (model.low / size, model.high / size),
-                x_scale="jac",
-                ftol=tolerance,
-                xtol=tolerance,
-                gtol=tolerance,
-                max_nfev=self.evaluations,
-            )
-            z = np.clip(found.x * size, model.low, model.high)
-            if 2 * found.cost > most:
-                return None
-        if not self.stable(z):
-            return None
-        cost = float(np.sum(model.residuals(z) ** 2))
-        return Answer(z, cost, found.status > 0, "least squares of stable laws", 1, 1)

@@ -93,8 +93,19 @@ def spread(model: LeastSquares, count: int) -> list[FloatArray]:
     return [model.start, *(model.another_start(draw) for _ in range(count - 1))]
 
 
-class _NoSlopesError(Exception):
+class NoSlopesError(Exception):
     """A descent has come to constants where the numbers have no derivatives."""
+
+
+def known_slopes(found: FloatArray) -> FloatArray:
+    """Derivatives as they are.
+
+    Raises:
+        NoSlopesError: Some have no value, as beside constants whose numbers have none.
+    """
+    if not np.isfinite(found).all():
+        raise NoSlopesError
+    return found
 
 
 class _Projected:
@@ -143,18 +154,11 @@ def _descend(
     x, bounds = z[~linear], (model.low[~linear], model.high[~linear])
     if not (np.isfinite(part.residuals(x)).all() and np.isfinite(part.sensitivities(x)).all()):
         return None
-
-    def slopes(x: FloatArray) -> FloatArray:
-        found = part.sensitivities(x)
-        if not np.isfinite(found).all():  # beside constants whose numbers have no value
-            raise _NoSlopesError
-        return found
-
     try:
         found = least_squares(
             part.residuals,
             x,
-            slopes,
+            lambda x: known_slopes(part.sensitivities(x)),
             bounds,
             x_scale="jac",
             ftol=_TOLERANCE,
@@ -162,7 +166,7 @@ def _descend(
             gtol=_TOLERANCE,
             max_nfev=evaluations,
         )
-    except _NoSlopesError:
+    except NoSlopesError:
         return None
     why = f"{evaluations} steps are done" if found.status == 0 else "least squares"
     z = part.whole(found.x)

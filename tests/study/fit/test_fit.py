@@ -220,6 +220,8 @@ def test_the_best_of_stable_laws():
     assert found.ended and found.same >= 3
     assert [found[c].value for c in ("c10", "c20", "c30")] == pytest.approx(exact, rel=1e-4)
     assert "without and with it: uniaxial 0.24 % and 19 %" in found.notes[0]
+    assert found.notes[0].endswith("; the intervals are those without it")
+    assert (free.condition, found.condition) == ("", "that of stability")
     assert free.curves[0].relative == pytest.approx(0.0024, abs=5e-5)
     assert found.curves[0].relative == pytest.approx(0.19, abs=5e-3)
 
@@ -230,6 +232,36 @@ def test_stability_costs_nothing_where_it_is_there():
     free, found = fit(law, data), fit(law, data, stable=True)
     assert [c.value for c in found.constants] == [c.value for c in free.constants]
     assert found.notes == free.notes
+    assert found.condition == ""
+
+
+def test_the_best_of_laws_with_a_positive_shear_modulus():
+    """Least squares where 2 (c10 + c01) = c s, to a penalty's distance; without, it is below 0.
+
+    s is the r.m.s. stress and c = 1e-3.
+    """
+    s = np.linspace(1.1, 2.5, 12)
+    first, second = first_and_second(s, -0.5)
+    P = -0.3e6 * first + 0.28e6 * second
+    data = {"uniaxial": TestCurve("uniaxial", s, P)}  # it pushes, which files may not have
+    found = fit(MooneyRivlin(c10=1e5, c01=1e4, nu=0.5), data)
+    mu = 1e-3 * np.sqrt(np.mean(P**2))
+    c01 = (second - first) @ (P - mu / 2 * first) / np.sum((second - first) ** 2)
+    assert found["c01"].value == pytest.approx(c01, rel=1e-5)
+    assert found.law.shear() == pytest.approx(mu, rel=1e-2)
+    assert found.ended and found.same >= 2
+    assert found.condition == "that of a positive shear modulus"
+    assert found.notes[0].startswith("without a condition the shear modulus at small strains is")
+
+
+def test_ogdens_constants_have_a_positive_shear_modulus():
+    """Stresses that fall below 0: the law accepts the constants, and what they cost is told."""
+    s, falling = np.linspace(1.05, 3.0, 12), np.linspace(1e5, -3e5, 12)
+    law = {"law": "ogden", "mu": ["fit"], "alpha": ["fit"], "nu": 0.5}
+    found = fit(law, {"uniaxial": TestCurve("uniaxial", s, falling)}, starts=2)
+    assert found.ended
+    assert found.law.shear() > 0
+    assert "r.m.s. errors over the largest stress without and with it: uniaxial" in found.notes[0]
 
 
 @pytest.mark.long
