@@ -104,7 +104,9 @@ class Adjoint:
             self._ksp.setNormType(PETSc.KSP.NormType.NATURAL)
         else:
             self._take_gmres()
-        some = bool(self._assembler.problem.contact_pairs)
+        pressures = [pair.pressures() for pair in self._assembler.problem.contact_pairs]
+        self._nothing = np.zeros(sum(map(len, pressures)))
+        some = total(self._assembler.comm, sum(map(np.count_nonzero, pressures)))
         self._gaps = KeptGaps(self._assembler, newton.bordered) if some else None
         self._border: tuple[FloatArray, FloatArray] | None = None
         self._iterations, self._known = 0, list[tuple[FloatArray, FloatArray]]()
@@ -134,7 +136,7 @@ class Adjoint:
         self._iterations, gaps = 0, self._gaps
         if gaps is None:
             fields, scalars = self._bordered(derivative, of_scalars)
-            return AdjointState(fields, scalars, np.zeros(0), self._iterations)
+            return AdjointState(fields, scalars, self._nothing, self._iterations)
         mixing, multipliers = Mixing(self._assembler.comm), np.zeros_like(gaps.eps)
         before: FloatArray = np.zeros_like(derivative)
         cut, off, rtol = before, 1.0, 1.0

@@ -287,6 +287,11 @@ def test_an_adjoint_takes_a_few_solutions(degree: int, monkeypatch: pytest.Monke
         gradient(case, FLOOR[:1], some)
     assert 2 < counts[0] <= MOST[degree]
     assert counts[0] == counts[1]
+    counts.append(0)  # nothing presses: one without contact
+    above = [{"on": "top", "plane": {**PLATE, "point": [0, 0, 1.1]}}]
+    loads = [{"on": "right", "kind": "traction", "value": [0, 0, -100]}]
+    gradient(Case.from_dict({**case.written, "contact": above, "load": loads}), FLOOR[:1], keys[:2])
+    assert counts[2] == 1
 
 
 def test_what_has_no_adjoint() -> None:
