@@ -227,6 +227,13 @@ def without_gradient(problem: Problem) -> str:
     return what
 
 
+def close_gaps(problem: Problem) -> None:
+    """Has solutions leave the gaps that derivatives need, unless the user has said which."""
+    for pair in problem.contact_pairs:
+        if pair.contact.gap_tolerance is None:
+            pair.tolerance = CLOSED * pair.size
+
+
 @dataclass(frozen=True)
 class Found:
     """Gradients of a case, and the state that they belong to.
@@ -300,9 +307,7 @@ def _solved(case: Case, asked: Asked, body: Body, petsc: PetscOptions | None) ->
         gradients = Gradients(asked, problem, case, places_of_probes(case, body))
     solver = case.make_solver(problem, petsc=petsc)
     assert isinstance(solver, Statics)
-    for pair in problem.contact_pairs:
-        if pair.contact.gap_tolerance is None:
-            pair.tolerance = CLOSED * pair.size
+    close_gaps(problem)
 
     def look(newton: Newton, state: State) -> None:
         if state.done >= 1.0:

@@ -70,6 +70,16 @@ class Sides:
     pressures: FloatArray = field(default_factory=lambda: np.zeros(0))
 
 
+def combined(parts: Sequence[tuple[float, Sides]]) -> Sides:
+    """A sum with factors, such as a difference."""
+    return Sides(
+        np.asarray(sum(w * side.forces for w, side in parts)),
+        np.asarray(sum(w * side.equations for w, side in parts)),
+        np.asarray(sum(w * side.numbers for w, side in parts)),
+        np.asarray(sum(w * side.pressures for w, side in parts)),
+    )
+
+
 class Basis(Protocol):
     """What parameters change.  All of it is collective."""
 
@@ -219,15 +229,11 @@ class Parameter(ABC):
 
     def derivative(self, basis: Basis) -> Sides:
         """By the parameter, at fixed unknowns but those that it prescribes. Collective."""
-        parts = [
-            (weight / self.step, self.evaluated(basis, self.value + k * self.step))
-            for k, weight in WEIGHTS.items()
-        ]
-        return Sides(
-            np.asarray(sum(w * side.forces for w, side in parts)),
-            np.asarray(sum(w * side.equations for w, side in parts)),
-            np.asarray(sum(w * side.numbers for w, side in parts)),
-            np.asarray(sum(w * side.pressures for w, side in parts)),
+        return combined(
+            [
+                (weight / self.step, self.evaluated(basis, self.value + k * self.step))
+                for k, weight in WEIGHTS.items()
+            ]
         )
 
 

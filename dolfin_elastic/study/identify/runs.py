@@ -20,7 +20,7 @@ from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.problem.state import State
 from dolfin_elastic.solvers.statics.settings import Seconds, StaticsSettings
 from dolfin_elastic.solvers.statics.statics import Statics
-from dolfin_elastic.study.gradient.gradient import places_of_probes
+from dolfin_elastic.study.gradient.gradient import close_gaps, places_of_probes
 from dolfin_elastic.study.identify.measured import (
     Measured,
     MeasuredCurve,
@@ -143,6 +143,7 @@ class Runs:
         comm: MPI.Comm = MPI.COMM_WORLD,
     ) -> None:
         self.case, self.unknowns, self._petsc, self._comm = case, unknowns, petsc, comm
+        self._keys = [one.key for one in unknowns]
         part = self._analysis(case)
         self._body = read_body(part, comm)
         self._stops: tuple[float, ...] = ()
@@ -221,10 +222,14 @@ class Runs:
                 self._held = {"mesh.formulation": "mixed" if problem.mixed else "displacement"}
                 self.formulation = formulation_of(problem.regions)
             solver = case.make_solver(problem, petsc=self._petsc)
+            known = isinstance(solver, Statics) and differentiable(problem, self._keys)
+            if known:  # of all runs alike, whether their derivatives are asked for or not
+                close_gaps(problem)
             probe = case.output.make_probe(problem)
             numbers = {wanted: WantedNumber(wanted, problem) for wanted in self._wanted}
             result = Record(numbers={w: [] for w in numbers}, fields=[[] for _ in self._points])
-            if slopes and isinstance(solver, Statics):
+            if slopes and known:
+                assert isinstance(solver, Statics)
                 result.tangents = solver.observer = self._tangents(case, problem)
             with closing(solver.steps()) as states:
                 for state in states:
@@ -256,12 +261,9 @@ class Runs:
 
     def _tangents(self, case: Case, problem: Problem) -> Tangents | None:
         """Derivatives without differences; None: there are none."""
-        keys, wanted = [one.key for one in self.unknowns], list(self._wanted)
-        if not differentiable(problem, keys):
-            return None
-        places = places_of_probes(case, self._body)
+        wanted, places = list(self._wanted), places_of_probes(case, self._body)
         try:
-            made = Tangents(case, problem, keys, wanted, self._points, places)
+            made = Tangents(case, problem, self._keys, wanted, self._points, places)
         except InputError:  # a number has none
             return None
         return None if made.smoothed else made

@@ -18,15 +18,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 from dolfinx import fem
 
-from dolfin_elastic.core.parallel import total
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.problem.state import State
-from dolfin_elastic.solvers.nonlinear.adjoint import Adjoint
 from dolfin_elastic.solvers.nonlinear.newton import Newton
 from dolfin_elastic.study.gradient.functionals import functionals
 from dolfin_elastic.study.gradient.gradient import without_gradient
 from dolfin_elastic.study.gradient.parameters import Equilibrium, parameters
+from dolfin_elastic.study.identify.motions import Motion, Motions
 from dolfin_elastic.study.identify.points import LocatedPoints
 from dolfin_elastic.study.wanted import Wanted
 
@@ -81,25 +80,14 @@ class Tangents:
             return
         numbers = self._functionals
         here = Equilibrium(newton, lambda _: numbers, numbers, state.t)
-        with closing(Adjoint(newton)) as adjoint:
-            sides = [one.derivative(here) for one in self._parameters]
-            self._values.append(here.evaluated().numbers)  # with the functionals linearised here
-            slopes = [one.by_unknowns(newton.assembler) for one in self._functionals]
-            motions = [adjoint.solve(one.forces, one.equations).fields for one in sides]
-        comm = self._problem.body.comm
-        through = [
-            np.array([total(comm, float(slope @ motion)) for slope in slopes]) for motion in motions
-        ]
-        whole = [one.numbers + more for one, more in zip(sides, through, strict=True)]
-        self._add(whole, [self._moved(newton, motion) for motion in motions])
+        with here.kept(), closing(Motions(here)) as motions:
+            found = [motions.by(one.derivative(here)) for one in self._parameters]
+            self._values.append(here.evaluated().numbers)
+        self._add([one.numbers for one in found], [self._moved(one) for one in found])
 
-    def _moved(self, newton: Newton, motion: FloatArray) -> fem.Function:
-        """A change of all unknowns as one of the displacement."""
-        whole, result = motion.copy(), fem.Function(self._problem.V)
-        newton.assembler.extend(whole)
-        dofs = newton.assembler.displacement_dofs
-        result.x.array[: len(dofs)] = whole[dofs]
-        result.x.scatter_forward()
+    def _moved(self, motion: Motion) -> fem.Function:
+        result = fem.Function(self._problem.V)
+        result.x.array[:] = motion.displacements
         return result
 
     def _add(self, numbers: Sequence[FloatArray], moved: Sequence[fem.Function] | None) -> None:
@@ -125,9 +113,7 @@ def differentiable(problem: Problem, keys: Sequence[str]) -> bool:
     return not (
         any(key not in known or known[key].ufl_shape for key in keys)
         or without_gradient(problem)
-        or problem.contact_pairs
         or problem.terms.bars
-        or not problem.symmetric
     )
 
 
