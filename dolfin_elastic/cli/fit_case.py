@@ -247,7 +247,7 @@ def show_rows(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
 
     table = Table(heads[0], box=SIMPLE_HEAD, pad_edge=False)
     for head in heads[1:]:
-        table.add_column(head, justify="left" if head == INTERVAL else "right")
+        table.add_column(head, justify="left" if head.startswith(INTERVAL) else "right")
     for row in rows:
         table.add_row(*row)
     console().print(table)

@@ -15,6 +15,7 @@ from mpi4py import MPI
 
 from dolfin_elastic import MooneyRivlin, NeoHookean, fit
 from dolfin_elastic.case.tables import Material
+from dolfin_elastic.cli.fit import _tables
 from dolfin_elastic.cli.fit_case import constant_rows
 from dolfin_elastic.core.errors import InputError, SolveError
 from dolfin_elastic.core.si_text import percent
@@ -329,6 +330,17 @@ def test_intervals_have_two_digits():
         "+- < 0.01 %",
         "+- < 0.01 %",
     ]
+
+
+def test_intervals_beside_a_condition_say_that_they_do_not_count_it(capsys):
+    """In the heading of the table; of a fit without a condition there is no such word."""
+    s = np.linspace(1.1, 2.5, 12)
+    law, heads = MooneyRivlin(c10=1e5, c01=1e4, nu=0.5), []
+    for c10, c01 in (2e5, 0.0), (-3e5, 2.8e5):
+        stress = 2 * (s - s**-2) * (c10 + c01 / s)
+        _tables(fit(law, {"uniaxial": TestCurve("uniaxial", s, stress)}))
+        heads.append(capsys.readouterr().out)
+    assert ["interval, without the condition" in head for head in heads] == [False, True]
 
 
 def test_errors_that_are_too_small_to_be_shown(tmp_path):
