@@ -199,8 +199,9 @@ def _line(sweeping: Sweep, row: Row) -> str:
     from dolfin_elastic.study.sweep.numbers import unit_of
     from dolfin_elastic.study.sweep.settings import short_names, worded
 
-    short = short_names([one.key for one in sweeping.design.settings])
-    of = ", ".join(f"{short[key]} = {worded(value)}" for key, value in row.values.items())
+    settings = sweeping.design.settings
+    short = short_names([one.key for one in settings])
+    of = ", ".join(f"{short[one.key]} = {worded(row.values[one.key], one)}" for one in settings)
     numbers = [
         f"{name} {quantity(value, unit_of(name))}"
         + (f" ± {percent(row.errors[name])}" if row.errors.get(name, -1.0) >= 0.0 else "")

@@ -18,6 +18,7 @@ from dolfin_elastic.study.wanted import Wanted
 _UNITS = {"von_mises": "Pa", "displacement": "m", "safety_factor": "", "seconds": "s"}
 _FIRST = ("safety_factor", "von_mises", "displacement")
 NO_RESULT = "this run has no such result"
+UNKNOWN_ERROR = "its error is not known: "
 _COLUMNS = {
     *("displacement", "external_work", "max_displacement", "balance_force", "balance_moment"),
     *("min_jacobian", "max_jacobian", "inverted_cells", "max_plastic_strain", "yielded_fraction"),
@@ -96,7 +97,7 @@ def _extremes(run: FinishedRun) -> tuple[dict[str, float], dict[str, float], dic
         numbers[name] = float(peak["value"])
         errors[name] = math.nan if doubt(peak) else _number(peak.get("error"))
         if why := doubt(peak):
-            remarks[name] = f"its error is not known: {why}"
+            remarks[name] = f"{UNKNOWN_ERROR}{why}"
         elif apart := peak.get("apart"):
             which = "smallest" if name == "safety_factor" else "largest"
             remarks[name] = f"not at {apart}, where it is singular: the {which} elsewhere"

@@ -34,6 +34,8 @@ _SPREAD = re.compile(r"\s*([a-z]+)\s*\((.*)\)\s*")
 _EXAMPLE = 'for example "normal(210 GPa, 3 %)" or "uniform(1 MPa, 2 MPa)"'
 SAMPLES = 20
 """Samples unless their number is given."""
+DRAWN = 4
+"""Digits that are shown of values that are drawn."""
 _FEW = 500
 """Samples of which columns are permuted until they are hardly correlated: beyond, chance suffices,
 and that takes seconds."""
@@ -381,6 +383,8 @@ def short_names(keys: Sequence[str]) -> dict[str, str]:
     return {key: next((e for e in endings(key) if every.count(e) == 1), key) for key in keys}
 
 
-def worded(value: object) -> str:
-    """A value for people."""
+def worded(value: object, setting: Setting) -> str:
+    """A value of a setting for people: as it was written, and of what scatters four digits."""
+    if setting.spread is not None and (read := number_and_unit(value)) is not None:
+        return f"{read[0]:.{DRAWN}g} {read[1]}".rstrip()
     return f"{value:.7g}" if isinstance(value, float) else str(value)

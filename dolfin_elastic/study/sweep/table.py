@@ -17,24 +17,26 @@ import numpy as np
 
 from dolfin_elastic.case.toml import key_parts
 from dolfin_elastic.core.errors import SolveError
-from dolfin_elastic.core.si_text import literal, percent, quantity, scaled_unit
+from dolfin_elastic.core.si_text import literal, number, percent, scaled_unit
 from dolfin_elastic.core.startup.elsewhere import plain_matplotlib
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.core.units import number_and_unit
 from dolfin_elastic.problem.material_regions import STIFF_IN_VOLUME
 from dolfin_elastic.results.files import drafted, json_data, replace_text
-from dolfin_elastic.study.sweep.numbers import NO_RESULT, unit_of
+from dolfin_elastic.study.sweep.numbers import NO_RESULT, UNKNOWN_ERROR, unit_of
 from dolfin_elastic.study.sweep.rows import Row
-from dolfin_elastic.study.sweep.settings import Design, short_names, worded
+from dolfin_elastic.study.sweep.settings import DRAWN, Design, short_names, worded
 from dolfin_elastic.study.sweep.statistics import Statistics, statistics
 from dolfin_elastic.study.tabled import Tabled, csv_text
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 TABLE, SUMMARY, PLOT = FILES = ("sweep.csv", "sweep.json", "sweep.png")
 _SOURCES = {"materials": "the material", "load": "the loads", "support": "the supports"}
 _ANY = "what scatters"
+_NO_ERROR = "it is estimated of stresses and the safety factor only"
 _NOTHING, _SMALL = 1e-6, 1e-4
 """Deviation over the mean that is none, and size over the largest that is not shown first."""
 _USEFUL = 64
@@ -42,8 +44,12 @@ _USEFUL = 64
 _PAUSE = 99.0
 """Time between two tables over that which the first has taken."""
 _MOST_PANELS, _MOST_LINES = 6, 8
-_WIDTH, _HEIGHT, _GAP, _BESIDE, _BELOW = 3.6, 2.0, 0.2, 0.95, 0.55
-"""Size of a panel of the plot, what is between two, and room for names and numbers [inches]."""
+_WIDTH, _HEIGHT, _GAP, _BESIDE, _BELOW, _ABOVE = 3.6, 2.0, 0.2, 0.95, 0.55, 0.22
+"""Size of a panel of the plot, what is between two, room for names and numbers, and for a line of
+the legend [inches]."""
+_ENTRY = 2.2
+"""Width of an entry of the legend [inches]."""
+_GREY = "#8a929a"
 _INK = ("#1f5f8b", "#b0562f", "#228833", "#7a3e9d", "#c79a00", "#444444", "#0f9d9d", "#d0527a")
 
 
@@ -127,15 +133,16 @@ class Results(Tabled):
             most: Results at most.
             errors: Beside a number the estimated error of the mesh.
         """
-        keys = [one.key for one in self.design.settings]
         names = self.names if most is None else self.large[:most]
         result = {"run": [str(row.number) for row in self.rows]}
-        for key, name in short_names(keys).items():
-            x, unit, words = _abscissae([row.values.get(key) for row in self.rows])
+        short = short_names([one.key for one in self.design.settings])
+        for one in self.design.settings:
+            x, unit, words = _abscissae([row.values.get(one.key) for row in self.rows])
+            name, digits = short[one.key], 6 if one.spread is None else DRAWN
             if words:
-                result[name] = [worded(row.values.get(key)) for row in self.rows]
+                result[name] = [worded(row.values.get(one.key), one) for row in self.rows]
             else:
-                result[f"{name} [{unit}]" if unit else name] = [f"{value:.6g}" for value in x]
+                result[f"{name} [{unit}]" if unit else name] = [f"{v:.{digits}g}" for v in x]
         for name in names:
             values = [row.numbers.get(name, math.nan) for row in self.rows]
             largest = max(_finite(map(abs, values)), default=0.0)
@@ -218,17 +225,18 @@ class Results(Tabled):
         source = _SOURCES.get(kinds.pop(), _ANY) if len(kinds) == 1 else _ANY
         drawn = 2 * self.design.base or len(self.rows)
         for name, of in self.statistics.items():
-            unit = unit_of(name)
-            mesh = f"± {quantity(of.mesh, unit)}" if math.isfinite(of.mesh) else "not known"
-            low, high = (quantity(of.percentiles[p], unit) for p in (5, 95))
+            numbers = [of.mean, 2 * of.deviation, of.percentiles[5], of.percentiles[95], of.mesh]
+            factor, unit = scaled_unit(max(map(abs, numbers[:4])), unit_of(name))
+            mean, deviation, low, high, error = (
+                f"{number(value / factor)} {unit}".rstrip() for value in numbers
+            )
+            mesh = f"± {error}" if math.isfinite(of.mesh) else f"not known: {self._why(name)}"
             spread = (
-                f"± {quantity(2 * of.deviation, unit)} from {source} "
-                f"(2 standard deviations; 90 % from {low} to {high})"
+                f"± {deviation} from {source} (2 standard deviations; 90 % from {low} to {high})"
             )
             if of.deviation <= _NOTHING * abs(of.mean):
                 spread = f"{source} does not change it"
             so_far = "" if of.samples == drawn else f", {of.samples} of {drawn} samples so far"
-            mean = quantity(of.mean, unit)
             result.append(f"{name}: {mean}, {spread}, from the mesh {mesh}{so_far}")
             for key, index in of.sobol.items():
                 result.append(
@@ -239,6 +247,13 @@ class Results(Tabled):
             base = self.design.base
             result.append(f"Sobol's indices of {base} samples are coarse: --sobol {_USEFUL}")
         return result
+
+    def _why(self, name: str) -> str:
+        """Why the error of the mesh is not known of a result."""
+        has = [row for row in self.rows if name in row.numbers]
+        rows = [row for row in has if not math.isfinite(row.errors.get(name, math.nan))]
+        told = (row.remarks[name] for row in rows if name in row.remarks)
+        return next(told, _NO_ERROR).removeprefix(UNKNOWN_ERROR)
 
 
 class TableAtTimes:
@@ -320,7 +335,12 @@ def draw(results: Results, path: Path) -> None:
     # A layout that measures names and numbers takes 30 ms a panel.
     between = _GAP if several else _BESIDE
     width = _BESIDE + across * _WIDTH + (across - 1) * between + _GAP
-    height = _BELOW + down * (_HEIGHT + _GAP)
+    labels = list(_groups(results, results.rows, over[0]))
+    labels = labels if 1 < len(labels) <= _MOST_LINES else []
+    bars = any(row.errors.get(name, 0.0) > 0 for name, _ in pairs for row in results.rows)
+    columns = max(1, int(width / _ENTRY))
+    above = _GAP + _ABOVE * -(-(len(labels) + bars) // columns)
+    height = _BELOW + down * _HEIGHT + (down - 1) * _GAP + above
     figure = Figure(figsize=(width, height))
     FigureCanvasAgg(figure)
     grid = figure.add_gridspec(
@@ -329,7 +349,7 @@ def draw(results: Results, path: Path) -> None:
         left=_BESIDE / width,
         right=1 - _GAP / width,
         bottom=_BELOW / height,
-        top=1 - _GAP / height,
+        top=1 - above / height,
         wspace=between / _WIDTH,
         hspace=_GAP / _HEIGHT,
     )
@@ -339,6 +359,7 @@ def draw(results: Results, path: Path) -> None:
         _panel(panel, results, *pair, below=lowest, beside=first)
     for panel in panels[len(pairs) :]:
         panel.remove()
+    _legend(figure, labels, columns, bars=bars)
     with drafted(path) as draft:
         figure.savefig(draft, dpi=110, format=path.suffix[1:])
 
@@ -351,32 +372,59 @@ def _over(results: Results) -> list[str]:
     return [max(settings, key=lambda one: len(one.values)).key]
 
 
+def _groups(results: Results, rows: Sequence[Row], key: str) -> dict[str, list[int]]:
+    """Indices of the rows of each line over a setting, by what the other settings have."""
+    others = [one for one in results.design.settings if one.key != key]
+    short = short_names([one.key for one in results.design.settings])
+    if results.design.scatter or results.design.together:
+        others = []
+    groups: dict[str, list[int]] = {}
+    for k, row in enumerate(rows):
+        label = ", ".join(
+            f"{short[one.key]} = {worded(row.values[one.key], one)}" for one in others
+        )
+        groups.setdefault(label, []).append(k)
+    return groups
+
+
+def _legend(figure: Figure, labels: Sequence[str], columns: int, *, bars: bool) -> None:
+    """Above all panels: what the lines are of, and what bars are."""
+    from matplotlib.lines import Line2D
+
+    handles = [
+        Line2D([], [], color=_INK[n], marker="o", ms=4, label=literal(label))
+        for n, label in enumerate(labels)
+    ]
+    if bars:
+        bar = "estimated error of the mesh"
+        handles.append(
+            Line2D([], [], color=_GREY, ls="none", marker="|", ms=10, mew=0.9, label=bar)
+        )
+    if handles:
+        figure.legend(handles=handles, loc="upper center", ncols=columns, frameon=False, fontsize=8)
+
+
 def _panel(
     panel: Axes, results: Results, name: str, key: str, *, below: bool, beside: bool
 ) -> None:
     """A result over a setting, with the name of the one below and that of the other beside."""
-    short = short_names([one.key for one in results.design.settings])
     x, unit, words = _abscissae([row.values[key] for row in results.rows])
     known = [math.isfinite(row.numbers.get(name, math.nan)) for row in results.rows]
     x, rows = x[known], list(compress(results.rows, known))
     largest = max((abs(row.numbers[name]) for row in rows), default=0.0)
     factor, own = scaled_unit(largest, unit_of(name))
     scattered = bool(results.design.scatter)
-    alone = scattered or results.design.together
-    groups: dict[str, list[int]] = {}
-    for k, row in enumerate(rows):
-        others = [f"{short[k]} = {worded(v)}" for k, v in row.values.items() if k != key]
-        groups.setdefault("" if alone else ", ".join(others), []).append(k)
-    for n, (label, members) in enumerate(groups.items()):
+    order_of = {label: n for n, label in enumerate(_groups(results, results.rows, key))}
+    for label, members in _groups(results, rows, key).items():
         order = sorted(members, key=lambda k: float(x[k]))
         y = np.array([rows[k].numbers[name] for k in order]) / factor
-        line, ink = "none" if scattered or words else "-", _INK[n % len(_INK)]
+        line = "none" if scattered or words else "-"
+        ink = _INK[order_of[label] % len(_INK)]
         bars = np.array([rows[k].errors.get(name, math.nan) for k in order]) * np.abs(y)
         bars = np.nan_to_num(bars)
-        shown = label if label and len(groups) <= _MOST_LINES else None
         if np.any(bars):
-            panel.errorbar(x[order], y, bars, fmt="none", capsize=2, ecolor=ink)
-        panel.plot(x[order], y, marker="o", ms=4, label=shown, ls=line, color=ink)
+            panel.errorbar(x[order], y, bars, fmt="none", elinewidth=0.9, ecolor=ink, alpha=0.5)
+        panel.plot(x[order], y, marker="o", ms=4, ls=line, lw=1.3, color=ink)
     if words:
         panel.set_xticks(range(len(words)), [literal(word) for word in words])
         panel.margins(x=0.15)
@@ -387,9 +435,10 @@ def _panel(
         panel.set_xlabel(literal(f"{key} [{unit}]" if unit else key))
     if beside:
         panel.set_ylabel(literal(f"{name} [{own}]" if own else name))
-    panel.grid(color="#dde1e5")
-    if panel.get_legend_handles_labels()[0]:
-        panel.legend(fontsize=7)
+    panel.grid(color="#dde1e5", lw=0.7)
+    panel.spines[["top", "right"]].set_visible(False)
+    panel.spines[["left", "bottom"]].set_color(_GREY)
+    panel.tick_params(color=_GREY)
 
 
 def _abscissae(values: Sequence[object]) -> tuple[FloatArray, str, list[str]]:

@@ -6,6 +6,7 @@ import csv
 import json
 import math
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -13,18 +14,19 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers.ranks import SIZES, on_ranks
+from matplotlib.figure import Figure
 from mpi4py import MPI
 
 from dolfin_elastic import Case, sweep
 from dolfin_elastic.case import case as case_module
-from dolfin_elastic.core.errors import InputError, SolveError
+from dolfin_elastic.core.errors import InputError, OutputError, SolveError
 from dolfin_elastic.core.files.regular import read_regular
 from dolfin_elastic.core.parallel import on_root
 from dolfin_elastic.study.sweep import rows as rows_module
 from dolfin_elastic.study.sweep import sweep as sweep_module
 from dolfin_elastic.study.sweep.numbers import Known, known_of, may_have
 from dolfin_elastic.study.sweep.rows import Contents, Row
-from dolfin_elastic.study.sweep.settings import design, read_setting
+from dolfin_elastic.study.sweep.settings import design, read_setting, worded
 from dolfin_elastic.study.sweep.statistics import statistics
 from dolfin_elastic.study.sweep.sweep import Sweep, planned
 from dolfin_elastic.study.sweep.table import Results, TableAtTimes, write_table
@@ -444,6 +446,72 @@ def test_a_linear_result_has_the_deviation_of_its_settings() -> None:
     assert of.deviation == pytest.approx(5, rel=0.02)
     assert of.percentiles[95] - of.percentiles[5] == pytest.approx(2 * 1.645 * 5, rel=0.05)
     assert of.mesh == pytest.approx(0.7, rel=1e-3)
+
+
+def of_stress(error: float, **keys: Any) -> Results:
+    """Twenty samples of a stress around 1 MPa, and of a displacement, which has no error."""
+    made = design([read_setting("E", "normal(1 MPa, 3 %)")])
+    rows = tuple(
+        Row(
+            n,
+            values,
+            "",
+            "",
+            "solved",
+            numbers={
+                "von_mises": 1e6 * float(values["E"].split()[0]),
+                "displacement": 1e-3 + n * 1e-6,
+            },
+            errors={"von_mises": error},
+            **keys,
+        )
+        for n, values in enumerate(made.rows, 1)
+    )
+    return Results("case", Path(), made, rows)
+
+
+def test_one_unit_in_a_sentence_and_why_an_error_is_not_known() -> None:
+    """Mean, deviation, percentiles and error of a stress around 1 MPa are in MPa."""
+    stress, displacement = of_stress(0.01).lines()
+    assert stress.count(" MPa") == 5
+    assert "kPa" not in stress
+    assert stress.endswith("from the mesh ± 0.01 MPa")
+    assert "µm" not in displacement
+    why = "it is estimated of stresses and the safety factor only"
+    assert displacement.endswith(f"from the mesh not known: {why}")
+    unknown = of_stress(math.nan, remarks={"von_mises": "its error is not known: one element"})
+    assert unknown.lines()[0].endswith("from the mesh not known: one element")
+
+
+def test_values_that_are_drawn_have_four_digits() -> None:
+    """In the lines of the runs and in the table; those of a list stay as they were written."""
+    results = of_stress(0.01)
+    (drawn,) = results.design.settings
+    assert worded("1.0592861 MPa", drawn) == "1.059 MPa"
+    assert worded(-0.21209719, drawn) == "-0.2121"
+    assert worded("1.0592861 MPa", read_setting("E", "1 MPa,2 MPa")) == "1.0592861 MPa"
+    assert all(len(cell.replace(".", "").lstrip("0")) <= 4 for cell in results.texts()["E [MPa]"])
+
+
+def test_the_legend_of_a_plot(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It stands above the panels; bars are thinner than lines."""
+    made = design([read_setting("a", "1,2,3"), read_setting("b", "1,2")])
+    rows = [
+        replace(row, numbers={"von_mises": row.numbers["y"]}, errors={"von_mises": 0.1})
+        for row in rows_of(made, lambda a, b: 1e6 * (a + b))
+    ]
+    figures: list[Figure] = []
+    monkeypatch.setattr(Figure, "savefig", lambda self, *_, **__: figures.append(self))
+    with suppress(OutputError, FileNotFoundError):  # of the file that is not written
+        Results("case", tmp_path, made, tuple(rows)).plot(tmp_path / "sweep.png")
+    (figure,), (panel,) = figures, figures[0].axes
+    texts = [text.get_text() for text in figure.legends[0].get_texts()]
+    assert texts == ["b = 1", "b = 2", "estimated error of the mesh"]
+    figure.canvas.draw()
+    top = panel.get_window_extent().y1
+    assert figure.legends[0].get_window_extent().y0 > top
+    widths = [bars.get_linewidths()[0] for bars in panel.collections]
+    assert max(widths) < min(line.get_linewidth() for line in panel.lines)
 
 
 @pytest.mark.long
