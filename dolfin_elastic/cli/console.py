@@ -102,8 +102,9 @@ class Estimate:
 class ProgressLines(ProgressDisplay):
     """One line a step, for files and pipes."""
 
-    def __init__(self, motion: bool) -> None:
-        self.motion, self._estimate, self._shown, self._count = motion, Estimate(), 0.0, 0
+    def __init__(self, motion: bool, curves: bool = False) -> None:
+        self.motion, self.curves = motion, curves
+        self._estimate, self._shown, self._count = Estimate(), 0.0, 0
         self._searching = False
 
     def search(self, text: str) -> None:
@@ -123,16 +124,17 @@ class ProgressLines(ProgressDisplay):
             left = left or f"  {100 * state.done:.2g} % done"
         if state.step and due:
             self._shown, self._count = now, self._count + 1
-            print(f"{step_text(state, motion=self.motion)}  {left}", flush=True)
+            text = step_text(state, motion=self.motion, curves=self.curves)
+            print(f"{text}  {left}", flush=True)
 
 
 class ProgressBar(ProgressDisplay):
     """A bar that moves, for terminals."""
 
-    def __init__(self, motion: bool, screen: Screen) -> None:
+    def __init__(self, motion: bool, screen: Screen, curves: bool = False) -> None:
         from rich.progress import BarColumn, Progress, TextColumn
 
-        self.motion, self._estimate = motion, Estimate()
+        self.motion, self.curves, self._estimate = motion, curves, Estimate()
         self._progress = Progress(
             BarColumn(bar_width=24),
             TextColumn("{task.percentage:>3.0f} %"),
@@ -145,7 +147,8 @@ class ProgressBar(ProgressDisplay):
     def show(self, state: State) -> None:
         """Shows one state."""
         left = self._estimate.left(state.done)
-        text = re.sub("  +", "  ", f"{step_text(state, motion=self.motion)}  {left}")
+        line = step_text(state, motion=self.motion, curves=self.curves)
+        text = re.sub("  +", "  ", f"{line}  {left}")
         self._progress.update(self._task, completed=state.done, description=text)
 
     def search(self, text: str) -> None:
@@ -157,13 +160,16 @@ class ProgressBar(ProgressDisplay):
         self._progress.stop()
 
 
-def step_text(state: State, *, motion: bool) -> str:
+def step_text(state: State, *, motion: bool, curves: bool = False) -> str:
     """Step, time or load factor, iterations, largest displacement.
 
     Args:
         motion: It has a time; otherwise a load factor.
+        curves: Loads follow curves over the load factor, so that it is no share of theirs.
     """
-    place = f"t {seconds_text(state.t, 5)} s" if motion else f"load {100 * state.load_factor:.4g} %"
+    factor = state.load_factor
+    load = f"parameter {factor:.4g}" if curves else f"load {100 * factor:.4g} %"
+    place = f"t {seconds_text(state.t, 5)} s" if motion else load
     counts = {"Newton": state.newton, "linear": state.krylov}
     equilibrium = not motion and state.step > 0  # its Newton iterations are shown even if 0
     work = ", ".join(

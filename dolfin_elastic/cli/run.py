@@ -25,6 +25,7 @@ from dolfin_elastic.core.startup.libraries import start
 if TYPE_CHECKING:
     from mpi4py import MPI
 
+    from dolfin_elastic.case.case import Case
     from dolfin_elastic.case.run import CaseRun, InTurn
     from dolfin_elastic.cli.console import ProgressDisplay
     from dolfin_elastic.problem.state import Mode, State
@@ -274,7 +275,7 @@ def _follow(
     from dolfin_elastic.problem.state import Mode
 
     case, visible = run.case, comm.rank == 0 and not shown.quiet
-    progress = _progress_display(case.timed, visible, verbose=shown.verbose)
+    progress = _progress_display(case, visible, verbose=shown.verbose)
     state, newton, most, modes = None, 0, 0.0, []
     with closing(progress), closing(states) as results:
         for result in results:
@@ -307,21 +308,19 @@ def _follow(
     return AUDIT_FAILED
 
 
-def _progress_display(timed: bool, visible: bool, *, verbose: bool) -> ProgressDisplay:
-    """A bar on a terminal, lines in a file or pipe, nothing if not visible.
-
-    Args:
-        timed: States are shown with their time, else with their load factor.
-    """
+def _progress_display(case: Case, visible: bool, *, verbose: bool) -> ProgressDisplay:
+    """A bar on a terminal, lines in a file or pipe, nothing if not visible."""
     from dolfin_elastic.cli import console
+    from dolfin_elastic.results.verdict import follows_curves
 
     if not visible:
         return console.ProgressDisplay()
     handlers = logging.getLogger("dolfin_elastic").handlers
     handler = next((one for one in handlers if isinstance(one, console.LogHandler)), None)
-    display: ProgressDisplay = console.ProgressLines(timed)
+    timed, curves = case.timed, follows_curves(case.to_dict())
+    display: ProgressDisplay = console.ProgressLines(timed, curves)
     if handler is not None and handler.screen.is_terminal and sys.stdout.isatty():
-        display = console.ProgressBar(timed, handler.screen)
+        display = console.ProgressBar(timed, handler.screen, curves)
         handler.print_above_bar()
     if handler is not None and not verbose:
         handler.show_searches(display)

@@ -119,9 +119,14 @@ def listed(words: Sequence[str], word: str = "and") -> str:
     return f"{', '.join(others)} {word} {last}" if others else last
 
 
-def time_or_load(t: float, *, timed: bool) -> str:
-    """The time, or the share of the load: "t = 0.25 s" or "load 60 %"."""
-    return f"t = {t:.4g} s" if timed else f"load {100 * t:.4g} %"
+def time_or_load(t: float, *, timed: bool, curves: bool = False) -> str:
+    """The time, or the share of the load: "t = 0.25 s" or "load 60 %".
+
+    Args:
+        curves: Loads follow curves over the load parameter, so that it is no share of theirs.
+    """
+    share = f"load parameter {t:.4g}" if curves else f"load {100 * t:.4g} %"
+    return f"t = {t:.4g} s" if timed else share
 
 
 # --- what users have written ---

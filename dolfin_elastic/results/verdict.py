@@ -254,8 +254,19 @@ def _rows(case: Table, *keys: str) -> list[Table]:
 def follows_curves(case: Table) -> bool:
     """Whether some of what acts is not in proportion to the load parameter of statics."""
     rows = _rows(case, *_LOADED)
-    values = str([[row[key] for key in row.keys() - _NAMES] for row in rows])
-    return any(row.get("curve") for row in rows) or bool(_TIMED.search(values))
+    return any(
+        bool(row.get("curve")) or _timed([row[key] for key in row.keys() - _NAMES]) for row in rows
+    )
+
+
+def _timed(value: object) -> bool:
+    """Whether a value has a formula in t or a record over time, which stands for one."""
+    if isinstance(value, Mapping):
+        record = "field" not in value and bool(value.keys() & {"file", "table"})
+        return record or _timed([*value.values()])
+    if isinstance(value, list | tuple):
+        return any(map(_timed, value))
+    return isinstance(value, str) and bool(_TIMED.search(value))
 
 
 def _moves(support: Table) -> bool:

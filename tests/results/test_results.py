@@ -951,4 +951,4 @@ def test_the_end_of_an_unloaded_run(
     largest = {"step": 2, "load_factor": 0.5} if unloaded else {"step": 4, "load_factor": 1.0}
     assert found["largest"] == {**largest, "max_displacement": pytest.approx(most, rel=1e-9)}
     if unloaded:
-        assert f"is {most:.5g} m in step 2 (load 50 %)" in said[0].getMessage()
+        assert f"is {most:.5g} m in step 2 (load parameter 0.5)" in said[0].getMessage()

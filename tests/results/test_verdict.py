@@ -19,6 +19,10 @@ RIM = {**PEAK, "value": 0.8, "singular": "the edge of the support 'left'"}
 RIM["place"] = [0.1, 0.03, 0.045]
 CASE = {"materials": {"steel": {"allowable": "235 MPa"}}}
 RELEASED = {"on": "t", "curve": [[0, 0], [0.5, 1], [1, 0], [60, 0]]}
+RECORDS = [
+    {"value": [{"table": [[0, 0], [1, 1e7], [2, 0]]}, 0]},
+    {"moment": [{"file": "m.csv", "unit": "N*m"}]},
+]
 
 
 def summary(**changed: Any) -> dict[str, Any]:
@@ -140,12 +144,20 @@ MODES = [
             {**of_safety(PEAK), "load_factor": 2.0, "case": {**CASE, "statics": {"end": 2}}},
             "holds: 4 times below 235 MPa, ± 10 %, on ‘fillet’; with 200 % of the load",
         ),
+        (
+            {
+                **of_safety(PEAK),
+                "load_factor": 2.0,
+                "case": {**CASE, "load": [{"value": {"field": "p", "file": "thermal.vtu"}}]},
+            },
+            "holds: 4 times below 235 MPa, ± 10 %, on ‘fillet’; with 200 % of the load",
+        ),
         *(
             (
                 {**of_safety(PEAK), "load_factor": 2.0, "case": {**CASE, "load": [load]}},
                 "holds: 4 times below 235 MPa, ± 10 %, on ‘fillet’; at load parameter 2",
             )
-            for load in ({"on": "t", "curve": [[0, 1], [2, 3]]}, {"value": ["5 - t", 0]})
+            for load in ({"on": "t", "curve": [[0, 1], [2, 3]]}, {"value": ["5 - t", 0]}, *RECORDS)
         ),
         (
             {**of_safety(PEAK), "load_factor": 0.3, "case": {**CASE, "statics": {"end": 0.5}}},

@@ -32,7 +32,7 @@ from dolfin_elastic.results.recovery.locking import unseen_locking
 from dolfin_elastic.results.recovery.motion_peaks import MotionPeaks
 from dolfin_elastic.results.recovery.peaks import ERROR, peaks_of
 from dolfin_elastic.results.recovery.slender import may_buckle
-from dolfin_elastic.results.verdict import verdict_of
+from dolfin_elastic.results.verdict import follows_curves, verdict_of
 from dolfin_elastic.results.writer import LastState, Numbers
 from dolfin_elastic.results.writers.modes import row
 
@@ -242,7 +242,9 @@ class SummaryWriter:
 
     def _unloaded_text(self) -> str:
         most = self._largest
-        when = time_or_load(most["load_factor"], timed=bool(self._last["timed"]))
+        curves = follows_curves(self._copies["case"])
+        timed = bool(self._last["timed"])
+        when = time_or_load(most["load_factor"], timed=timed, curves=curves)
         return (
             "the last state is unloaded, and so are its stress and pictures; the largest "
             f"displacement of the run is {most['max_displacement']:.5g} m in step "
