@@ -36,8 +36,8 @@ from dolfin_elastic.study.gradient.parameters import (
 )
 
 _ENOUGH, _ROUND_OFF = 1e-9, 1e-15
-"""Last correction over the largest one, and round-off of places over the size of the body."""
-_ROUGH = 1e-4
+"""Next correction over the largest one, and round-off of places over the size of the body."""
+_ROUGH = 1e-5
 """Tolerance of an iterative solver in each correction."""
 _CORRECTIONS = 50
 
@@ -96,6 +96,7 @@ class Motions:
         """
         x, p = np.zeros_like(self._start), np.zeros_like(self._lam)
         most: FloatArray = np.zeros(2)
+        before: FloatArray = np.zeros(2)
         moved: FloatArray = np.zeros_like(self._here.problem.u.x.array)
         left, mixing, round_off = side, Mixing(self._comm), 0.0
         for _ in range(_CORRECTIONS):
@@ -103,17 +104,23 @@ class Motions:
             dp = left.pressures - p - self._eps * self._rates(dx)
             changes = self._sizes(dx * self._scales, dp / self._eps)
             most = np.maximum(most, changes)
-            if np.all(changes <= np.maximum(_ENOUGH * most, round_off)):
-                return Motion(left.numbers, moved)
-            lengths, more = (
-                np.concatenate([one * self._scales, other / self._eps])
-                for one, other in ((x, p), (dx, dp))
-            )
-            after, heights = np.split(mixing.next(lengths, more), [len(x)])
-            x, p = after / self._scales, heights * self._eps
+            # The next one falls as this has, or faster.
+            fall = np.divide(changes, before, out=np.ones(2), where=before > changes)
+            found = bool(np.all(fall * changes <= np.maximum(_ENOUGH * most, round_off)))
+            if found:
+                x, p = x + dx, p + dp
+            else:
+                lengths, more = (
+                    np.concatenate([one * self._scales, other / self._eps])
+                    for one, other in ((x, p), (dx, dp))
+                )
+                mixed, heights = np.split(mixing.next(lengths, more), [len(x)])
+                x, p, before = mixed / self._scales, heights * self._eps, changes
             h = self._step_along(x, p)
             changed, moved = self._along(x, p, h)
             left, round_off = combined([(1.0, side), (1.0, changed)]), self._round_off / h
+            if found:
+                return Motion(left.numbers, moved)
         raise InputError(
             f"the motion with a parameter was not found in {_CORRECTIONS} corrections",
             expected="differences of runs",
