@@ -13,7 +13,7 @@ from dolfin_elastic.case.restart import tables_in
 from dolfin_elastic.case.toml import changed_tables, toml_text
 from dolfin_elastic.core.si_text import literal, percent, scaled_unit
 from dolfin_elastic.core.startup.elsewhere import plain_matplotlib
-from dolfin_elastic.core.types import FloatArray
+from dolfin_elastic.core.types import AnyArray, FloatArray
 from dolfin_elastic.results.files import drafted, make_folder, replace_text
 from dolfin_elastic.study.identify.identify import ComparedSet, Identified
 from dolfin_elastic.study.identify.measured import MeasuredCurve, MeasuredField
@@ -163,8 +163,22 @@ def field_panel(figure: Figure, axis: Axes, one: ComparedSet) -> None:
     assert not isinstance(field, MeasuredCurve)
     off: FloatArray = np.linalg.norm(one.computed - field.values, axis=1)
     size, unit = scaled_unit(float(off.max()), "m")
-    shown = axis.scatter(field.points[:, 0], field.points[:, 1], c=off / size, s=12)
-    figure.colorbar(shown, ax=axis, label=f"off [{unit}]")
+    points_panel(figure, axis, field.points, off / size, f"off [{unit}]")
     axis.set_title(literal(f"{field.label}, r.m.s. {percent(one.relative)}"))
-    axis.set(xlabel="x [m]", ylabel="y [m]")
-    axis.set_aspect("equal")
+
+
+def points_panel(
+    figure: Figure, axis: Axes, points: FloatArray, values: AnyArray, label: str
+) -> None:
+    """Values at points in colours, seen along z.
+
+    Args:
+        points: [m], shape (n, dim).
+        values: Shape (n,).
+        label: Of the colours.
+    """
+    size, unit = scaled_unit(float(np.abs(points[:, :2]).max()), "m")
+    shown = axis.scatter(points[:, 0] / size, points[:, 1] / size, c=values, s=12)
+    figure.colorbar(shown, ax=axis, label=label)
+    axis.set(xlabel=f"x [{unit}]", ylabel=f"y [{unit}]", aspect="equal")
+    axis.locator_params(nbins=5)

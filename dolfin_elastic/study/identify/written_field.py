@@ -16,7 +16,7 @@ from dolfin_elastic.results.files import drafted, make_folder, replace_text
 from dolfin_elastic.results.writers.xdmf import write_with_fields
 from dolfin_elastic.study.identify.cells import FieldFound
 from dolfin_elastic.study.identify.measured import MeasuredField
-from dolfin_elastic.study.identify.written import case_text, field_panel, point_rows
+from dolfin_elastic.study.identify.written import case_text, field_panel, point_rows, points_panel
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -76,8 +76,5 @@ def _constant_panel(
     figure: Figure, axis: Axes, found: FieldFound, points: FloatArray, values: FloatArray
 ) -> None:
     size, unit = scaled_unit(float(np.nanmax(values)), found.unit)
-    shown = axis.scatter(points[:, 0], points[:, 1], c=values / size, s=12, marker="s")
-    figure.colorbar(shown, ax=axis, label=f"[{unit}]")
-    axis.set(xlabel="x [m]", ylabel="y [m]")
+    points_panel(figure, axis, points, values / size, f"[{unit}]")
     axis.set_title(literal(found.key))
-    axis.set_aspect("equal")

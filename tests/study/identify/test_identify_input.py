@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from helpers.processes import cli
+from matplotlib.figure import Figure
 from mpi4py import MPI
 
 from dolfin_elastic import Case, identify, read_case
@@ -21,7 +22,7 @@ from dolfin_elastic.study.identify.measured import (
     read_measured,
 )
 from dolfin_elastic.study.identify.unknowns import read_unknowns
-from dolfin_elastic.study.identify.written import case_text
+from dolfin_elastic.study.identify.written import case_text, points_panel
 
 pytestmark = pytest.mark.skipif(
     MPI.COMM_WORLD.size > 1, reason="starts mpirun itself, which cannot be nested"
@@ -258,6 +259,15 @@ def test_the_case_is_written_as_the_user_wrote_it(tmp_path: Path) -> None:
     assert read_case(folder / "case.toml").materials == same
     made = Case.from_dict(tomllib.loads(CASE), tmp_path)
     assert tomllib.loads(case_text(made, {}, folder))["materials"]["steel"]["E"] == 1e6
+
+
+def test_places_in_a_picture_are_in_a_unit_that_suits_them() -> None:
+    """Of a body of 20 mm in mm, on both axes."""
+    figure = Figure()
+    axis = figure.subplots()
+    points_panel(figure, axis, np.array([[0.0, 0.0], [0.02, 0.01]]), np.ones(2), "off [µm]")
+    assert (axis.get_xlabel(), axis.get_ylabel()) == ("x [mm]", "y [mm]")
+    assert axis.collections[0].get_offsets().tolist() == [[0.0, 0.0], [20.0, 10.0]]
 
 
 @pytest.mark.long
