@@ -191,11 +191,10 @@ def _bounded(row: Constant, value: object) -> Constant:
         raise CaseError(
             f"{row.name}: {error.what}", where="--bounds", expected=error.expected
         ) from None
-    low = row.low if low is None else max(low, row.low)
-    high = row.high if high is None else min(high, row.high)
-    if not low < high:
+    result = row.within(low, high)
+    if not result.low < result.high:
         raise wrong
-    return replace(row, low=low, high=high, start=float(np.clip(row.start, low, high)))
+    return result
 
 
 def _number(row: Constant, value: object) -> float:

@@ -7,8 +7,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from dolfin_elastic.case.toml import key_parts
 from dolfin_elastic.core.errors import CaseError, UnitError, nearest
 from dolfin_elastic.core.units import number_and_unit, to_base, to_si
@@ -142,8 +140,7 @@ def _bounded(row: Constant, unit: str, one: float, value: object) -> Constant:
     except UnitError as error:
         what = f"{row.name}: {error.what}"
         raise CaseError(what, where="--bounds", expected=error.expected) from None
-    low = row.low if low is None else max(low, row.low)
-    high = row.high if high is None else min(high, row.high)
-    if not low < high:
+    result = row.within(low, high)
+    if not result.low < result.high:
         raise wrong
-    return replace(row, low=low, high=high, start=float(np.clip(row.start, low, high)))
+    return result

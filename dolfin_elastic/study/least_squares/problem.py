@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -35,6 +35,7 @@ class Constant:
         high: Largest value.
         held: Why it is not fitted; empty: it is.
         scale: Its size.
+        narrowed: Whether the least and the largest value are the user's.
     """
 
     name: str
@@ -44,6 +45,15 @@ class Constant:
     high: float
     held: str = ""
     scale: float = 1.0
+    narrowed: tuple[bool, bool] = (False, False)
+
+    def within(self, low: float | None, high: float | None) -> Constant:
+        """With bounds of the user's inside its range; None: it has no such bound."""
+        least = self.low if low is None else max(low, self.low)
+        most = self.high if high is None else min(high, self.high)
+        start = float(np.clip(self.start, least, most))
+        narrowed = least > self.low, most < self.high
+        return replace(self, low=least, high=most, start=start, narrowed=narrowed)
 
 
 class LeastSquares(ABC):

@@ -63,17 +63,17 @@ def remarks_on(
     if pairs:
         notes.append(f"strongly correlated: {', '.join(pairs)}")
     notes += [
-        f"{names[i]} is at a bound of its range: the {data} want {_beyond(model, z, i)}, "
-        f"which {what} cannot have"
+        f"{names[i]} is at a bound of its range: the {data} want {_beyond(model, z, i, what)}"
         for i in np.flatnonzero(known.bound)
     ]
     return unknown, notes
 
 
-def _beyond(model: LeastSquares, z: FloatArray, i: int) -> str:
-    """On which side of its range a constant would be, such as "less than 0 Pa"."""
+def _beyond(model: LeastSquares, z: FloatArray, i: int, what: str) -> str:
+    """On which side of its range a constant would be, and what has this end."""
     row, below = model.free[i], z[i] - model.low[i] < model.high[i] - z[i]
     limit = row.low if below else row.high
     limit = 0.0 if abs(limit) < _NOTHING * row.scale else limit
     text = quantity(limit, row.unit) if row.unit else number(limit)
-    return f"{'less' if below else 'more'} than {text}"
+    why = "--bounds leaves out" if row.narrowed[not below] else f"{what} cannot have"
+    return f"{'less' if below else 'more'} than {text}, which {why}"

@@ -316,6 +316,7 @@ def test_a_constant_stays_within_its_bounds():
     tight = fit(law, {"uniaxial": (s, P)}, bounds={"c10": (None, 0.15e6)})
     assert tight["c10"].value == pytest.approx(0.15e6, rel=1e-9)
     assert tight["c10"].bound
+    assert "the tests want more than 150 kPa, which --bounds leaves out" in " ".join(tight.notes)
     rest = second @ (P - 0.15e6 * first) / (second @ second)
     assert tight["c01"].value == pytest.approx(rest, rel=1e-7)
 
