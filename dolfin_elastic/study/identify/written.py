@@ -175,7 +175,7 @@ def points_panel(
     Args:
         points: [m], shape (n, dim).
         values: Shape (n,).
-        label: Of the colours.
+        label: Beside the colours, with the unit "[MPa]".
     """
     size, unit = scaled_unit(float(np.abs(points[:, :2]).max()), "m")
     shown = axis.scatter(points[:, 0] / size, points[:, 1] / size, c=values, s=12)
