@@ -81,7 +81,8 @@ def verdict_of(summary: Table) -> Verdict | None:
 
 
 def _of_end(summary: Table) -> Verdict:
-    found = _of_load(_of_yield(summary) or _of_stress(summary), summary)
+    found = _of_yield(summary) or _of_rest(summary) or _of_stress(summary)
+    found = _of_load(found, summary)
     return Verdict(found.kind, found.text + _added_mass(summary))
 
 
@@ -195,6 +196,23 @@ def _of_yield(summary: Table) -> Verdict | None:
     text = f"{percent(part)} of the volume has yielded, plastic strain up to {percent(strain)}"
     u = _number(summary.get("max_displacement"))
     return _verdict("result", f"{text}; displacement at the end up to {quantity(u, 'm')}")
+
+
+def _of_rest(summary: Table) -> Verdict | None:
+    """Of a last state without stress, which says nothing of the way; None: it has some."""
+    most = _table(summary, "unloaded")
+    if not most:
+        return None
+    load, case = _number(most.get("load_factor")), _table(summary, "case")
+    text = (
+        "the stress at the end is nothing but round-off; the part was strained most in step "
+        f"{most.get('step')}, at {parameter_text(load, summary)}"
+    )
+    if _table(case, "statics").get("method") != "arc-length":  # which may pass a load twice
+        end = f'"{load:.6g} s"' if summary.get("timed") else f"{load:.6g}"
+        text = f"{text}: a run with statics.end = {end} is judged there"
+    limited = "safety_factor" in _table(summary, "extremes")
+    return _verdict("not known" if limited else "result", text)
 
 
 def _of_stress(summary: Table) -> Verdict:
@@ -365,13 +383,14 @@ def factor_text(value: float) -> str:
 def _unjudged(safety: Table, summary: Table) -> str:
     """What speaks against a part whose stress is known to be below the allowable one."""
     stability, most = _table(summary, "stability"), _table(summary, "largest")
-    if "error" not in safety:
-        alone = "" if "t" in safety else "that is the end of the motion alone, and "
-        return f"{alone}its error is not estimated in motion"
-    if _table(summary, "audit").get("verdict") == "warn":
-        return f"the audit has doubts: {_reasons(summary)}"
     if _number(summary.get("max_displacement")) < 0.99 * _number(most.get("max_displacement")):
         return f"that is the end of the run alone: it was deformed more in step {most.get('step')}"
+    if "error" not in safety:
+        text = "its error is not estimated"
+        alone = "" if "t" in safety else "that is the end of the motion alone, and "
+        return text if most else f"{alone}{text} in motion"
+    if _table(summary, "audit").get("verdict") == "warn":
+        return f"the audit has doubts: {_reasons(summary)}"
     if stability.get("verdict") != "stable":
         return f"its stability is not judged: {stability.get('reason') or 'no reason is given'}"
     if stability.get("may_buckle"):

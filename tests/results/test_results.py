@@ -950,5 +950,33 @@ def test_the_end_of_an_unloaded_run(
     most = most if unloaded else state.max_displacement
     largest = {"step": 2, "load_factor": 0.5} if unloaded else {"step": 4, "load_factor": 1.0}
     assert found["largest"] == {**largest, "max_displacement": pytest.approx(most, rel=1e-9)}
+    assert found.get("unloaded") == ({"step": 2, "load_factor": 0.5} if unloaded else None)
     if unloaded:
         assert f"is {most:.5g} m in step 2 (load parameter 0.5)" in said[0].getMessage()
+
+
+def test_the_end_of_a_run_whose_body_has_moved_away(folder: Path) -> None:
+    """Both ends are 0.1 m from where they were, one of them later: nothing has stress, or an error.
+
+    The body is squeezed most where the second end begins to move, in step 2.
+    """
+    moved = {"left": "ramp", "right": [[0, 0], [0.5, 0], [1, 1]]}
+    case = Case.from_dict(
+        {
+            "mesh": {"box": {"size": [2, 1, 1], "cells": [2, 1, 1]}},
+            "materials": {
+                "m": {"law": "linear-elastic", "E": "1 MPa", "nu": 0.3, "allowable": "1 MPa"}
+            },
+            "support": [
+                {"on": end, "displacement": [0.1, 0, 0], "curve": curve}
+                for end, curve in moved.items()
+            ],
+            "statics": {"steps": 4},
+        }
+    )
+    *_, state = run(case, output=folder / "a")
+    found = on_root(COMM, lambda: json.loads((folder / "a/summary.json").read_text()))
+    assert state.max_displacement == pytest.approx(0.1, rel=1e-12)
+    assert "error" not in found
+    assert found["unloaded"] == {"step": 2, "load_factor": 0.5}
+    assert found["verdict"]["text"].startswith("not known: the stress at the end is nothing but")

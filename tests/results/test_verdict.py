@@ -98,6 +98,21 @@ MODES = [
             "not known: stress 4 times below 235 MPa, ± 10 %, on ‘fillet’, "
             "but that is the end of the run alone: it was deformed more in step 3",
         ),
+        (
+            {**summary(**LAST), "max_displacement": 1.0, "largest": UNLOADED},
+            "not known: stress 3 times below 235 MPa, at (0, 0, 0) mm, but "
+            "that is the end of the run alone: it was deformed more in step 3",
+        ),
+        (
+            {**summary(**LAST), "unloaded": {"step": 2, "load_factor": 0.5}},
+            "not known: the stress at the end is nothing but round-off; the part was strained "
+            "most in step 2, at load parameter 0.5: a run with statics.end = 0.5 is judged there",
+        ),
+        (
+            summary(unloaded={"step": 2, "load_factor": 3.0}, timed=True),
+            "the stress at the end is nothing but round-off; the part was strained most in step "
+            '2, at t = 3 s: a run with statics.end = "3 s" is judged there',
+        ),
         (of_safety({**PEAK, "value": None}), "largest displacement not known, without stress"),
         (
             summary(**LAST),

@@ -188,6 +188,7 @@ _OUTPUT = {
     "last": TABLE,
     "convergence": TABLE,
     "largest": TABLE,
+    "strained": TABLE,
 }
 
 

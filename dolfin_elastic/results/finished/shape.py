@@ -49,6 +49,7 @@ SUMMARY: dict[str, object] = {
     "convergence": {"*": _RESIDUALS},
     "diagnosis": {},
     "largest": {"*": float},
+    "unloaded": {"*": float},
     "extremes": {"*": _VALUE},
     "error": {
         **dict.fromkeys(("von_mises", "elsewhere", "may_be_larger"), _VALUE),

@@ -517,7 +517,7 @@ def marked(picture: Picture) -> Picture:
     if not np.isfinite(values).any():
         return picture
     at = int(np.nanargmin(values) if bar.reversed else np.nanargmax(values))
-    if abs(values[at]) <= _NOTHING * np.abs(bar.ticks).max():
+    if abs(values[at]) <= max(_NOTHING * np.abs(bar.ticks).max(), picture.noise / bar.factor):
         return picture
     text = f"{'min' if bar.reversed else 'max'} {values[at]:.4g} {bar.unit}".strip()
     marks, known = [Mark(picture.moved[at], text)], picture.reliable

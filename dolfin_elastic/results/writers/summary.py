@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import logging
+import math
 import re
 import time
 from collections.abc import Iterable, Mapping
@@ -99,6 +100,7 @@ class SummaryWriter:
         self._last: dict[str, object] = before.get("last", _NUMBERS)
         self._convergence: dict[str, dict[str, object]] = before.get("convergence", {})
         self._largest: dict[str, float] = before.get("largest", {})
+        self._strained: dict[str, float] = before.get("strained", {})
         self._spent: dict[str, float] = before.get("timings", {})
         self._restarts: list[dict[str, object]] = before.get("restarts", [])
         if saved is not None:
@@ -128,7 +130,7 @@ class SummaryWriter:
         """
         with timing.stage("output"):
             self._compile(state)
-            if self._estimator and self._moved(state):
+            if self._estimator and self._moved(state) and not self._released(state):
                 self._estimator(state)
 
     def write(self, state: State) -> None:
@@ -153,13 +155,19 @@ class SummaryWriter:
         return state.max_displacement >= UNLOADED * most
 
     def _note_largest(self, state: State) -> None:
-        """Notes the largest displacement of a run in statics, with its step."""
+        """Notes the largest displacement and strain energy of a run in statics."""
+        at, energy = {"step": state.step, "load_factor": plain(state.load_factor)}, _strain(state)
         if state.max_displacement > self._largest.get("max_displacement", 0.0):
-            self._largest = {
-                "step": state.step,
-                "load_factor": plain(state.load_factor),
-                "max_displacement": state.max_displacement,
-            }
+            self._largest = {**at, "max_displacement": state.max_displacement}
+        if energy > self._strained.get("strain_energy", 0.0):
+            self._strained = {**at, "strain_energy": energy}
+
+    def _released(self, state: State) -> bool:
+        """Whether of the largest strain energy of the run nothing is left but round-off.
+
+        The body may be elsewhere then, as a snap-fit that has passed its seat.
+        """
+        return abs(_strain(state)) < UNLOADED**2 * self._strained.get("strain_energy", 0.0)
 
     def _unloaded(self, state: State, extremes: Mapping[str, Measured]) -> bool:
         """Whether a state has nothing left of the largest of the run but round-off. Collective.
@@ -170,6 +178,8 @@ class SummaryWriter:
         Args:
             extremes: Its extremes; without them nothing is known.
         """
+        if self._released(state):
+            return True
         if not extremes or self._moved(state):
             return False
         most = self._largest.get("max_displacement", 0.0)
@@ -203,6 +213,7 @@ class SummaryWriter:
             "last": json_data(self._last),
             "convergence": json_data(self._convergence),
             "largest": self._largest,
+            "strained": self._strained,
             "timings": self._timings(),
             "restarts": self._restarts,
             "audits": self._audits.restart_state(),
@@ -219,8 +230,8 @@ class SummaryWriter:
             # What remains of stresses is round-off, of which there is no error to estimate.
             wanted = None if unloaded else self._estimator
             estimate = wanted(state) if state and wanted else None
-            if unloaded and self._logs:
-                log.info("%s", self._unloaded_text(), extra={"result": True})
+            if state and unloaded and self._logs:
+                log.info("%s", self._unloaded_text(state), extra={"result": True})
             extra: dict[str, object] = {
                 "finished": _now(),
                 "extremes": {
@@ -228,6 +239,9 @@ class SummaryWriter:
                     for name, one in content.items()
                 },
             }
+            if unloaded:
+                most = self._strained or self._largest
+                extra["unloaded"] = {key: most[key] for key in ("step", "load_factor")}
             if state and estimate:
                 extra["error"] = _error(self.problem, state, estimate, logs=self._logs)
                 stress = estimate.stress.stress
@@ -240,15 +254,17 @@ class SummaryWriter:
                 extra["volume_change"] = max(abs(value - 1) for value in J)
             self._save(status, str(error) if error else "", extra)
 
-    def _unloaded_text(self) -> str:
-        most = self._largest
+    def _unloaded_text(self, state: State) -> str:
+        most, what = self._largest, "displacement of the run is {max_displacement:.5g} m"
+        if self._moved(state):
+            most, what = self._strained, "strain energy of the run is {strain_energy:.5g} J"
         curves = follows_curves(self._copies["case"])
         timed = bool(self._last["timed"])
         when = time_or_load(most["load_factor"], timed=timed, curves=curves)
         return (
             "the last state is unloaded, and so are its stress and pictures; the largest "
-            f"displacement of the run is {most['max_displacement']:.5g} m in step "
-            f"{most['step']} ({when}); another step is drawn by dolfin-elastic plot --step"
+            f"{what.format(**most)} in step {most['step']} ({when}); "
+            "another step is drawn by dolfin-elastic plot --step"
         )
 
     def _save(
@@ -363,6 +379,11 @@ def _numbers(state: State) -> dict[str, object]:
         "limit_point_errors": list(state.limit_errors),
         "stability": None if state.stability is None else _stability(state.stability),
     }
+
+
+def _strain(state: State) -> float:
+    """Its strain energy [J]; NaN where a law has none."""
+    return state.energies.get("strain", math.nan)
 
 
 def _stability(stability: Stability) -> dict[str, object]:
