@@ -363,7 +363,8 @@ def _of_safety(safety: Table, summary: Table) -> Verdict:
         named = f"the allowable {limit}" if allowable else limit
         times = f"{stress}{_times(1 / value)} times {named}"
         return _verdict("fails", f"{times}{_error(safety)}{where}")
-    times = f"{_times(value) if value < SAFEST else factor_text(value)} times below {limit}"
+    below = f"{_times(value) if value < SAFEST else factor_text(value)} times below"
+    times = f"{below if value >= 1 else f'{_times(1 / value)} times above'} {limit}"
     stress = "strain" if limit.endswith("strain limit") else "stress"
     if why := doubt(safety):
         return _unknown(f"{stress} {times}{where}, but {why}")
@@ -403,7 +404,8 @@ def _unjudged(safety: Table, summary: Table) -> str:
 
 def _times(ratio: float) -> str:
     """A ratio with as many digits as tell it from 1."""
-    return number(ratio, 2 if ratio >= 1.2 else 3)
+    digits = 2 if ratio >= 1.2 else 3
+    return number(float(f"{ratio:.{digits}g}"), digits)
 
 
 def _error(peak: Table) -> str:

@@ -56,14 +56,18 @@ MODES = [
             "holds: 4 times below 235 MPa, ± 10 %, at (100, 0, 5) mm "
             "(not at the edge of the support 'left', 50 mm away: singular)",
         ),
-        (of_safety(RIM), "not known: stress 0.8 times below 235 MPa, on ‘fillet’, but it is"),
+        (of_safety(RIM), "not known: stress 1.2 times above 235 MPa, on ‘fillet’, but it is"),
         (
             of_safety({**PEAK, "value": 0.8}),
             "fails: von Mises stress 293.8 MPa is 1.2 times the allowable 235 MPa, ± 10 %",
         ),
         (
             of_safety({**PEAK, "value": 0.8, "error": 9.1}),
-            "not known: stress 0.8 times below 235 MPa, on ‘fillet’, but it is known to 910 %",
+            "not known: stress 1.2 times above 235 MPa, on ‘fillet’, but it is known to 910 %",
+        ),
+        (
+            of_safety({**PEAK, "value": 4.05e-5, "singular": "an edge"}),
+            "not known: stress 25000 times above 235 MPa, on ‘fillet’, but it is singular at an",
         ),
         (of_safety({**PEAK, "value": 0.4, "error": 0.5}), "fails: von Mises stress 587.5 MPa is"),
         (of_safety({**PEAK, "value": 1.06}), "not known: stress 1.06 times below 235 MPa, ± 10 %"),
