@@ -15,7 +15,7 @@ from dolfin_elastic.core.shapes.box import Box, point_of
 from dolfin_elastic.core.shapes.directions import Axis
 from dolfin_elastic.core.shapes.shapes import Plane
 from dolfin_elastic.core.types import BoolArray, FloatArray
-from dolfin_elastic.core.units import MeshLength, metres
+from dolfin_elastic.core.units import LENGTHS, MeshLength, metres
 from dolfin_elastic.mesh.body import Body
 from dolfin_elastic.mesh.selectors import Place
 
@@ -65,9 +65,14 @@ class BoundingBox(Box):
         """A point of a selector [m], of which `key` is the key. See `point_of`."""
         return np.array(point_of(values, self.scale, len(self.low), key))
 
+    @property
+    def unit(self) -> str:
+        """The unit behind lengths, such as " mm"; empty where it has no name."""
+        return next((f" {name}" for name, length in LENGTHS.items() if length == self.scale), "")
+
     def __str__(self) -> str:
         text = [
-            f"{axis} from {low:.6g} to {high:.6g}"
+            f"{axis} from {low:.6g} to {high:.6g}{self.unit}"
             for axis, low, high in zip(
                 "xyz", self.low / self.scale, self.high / self.scale, strict=False
             )
@@ -134,10 +139,10 @@ def not_found(
 
 
 def _distance_text(test: Criterion, near: float, space: BoundingBox) -> str:
-    text = (
-        f" (the nearest is off by {near / test.unit:.3g}, allowed is {test.limit / test.unit:.3g}"
-    )
-    worth = near < (180 if test.key == "angle" else 0.1 * space.diagonal)
+    turned = test.key == "angle"
+    unit, worth = (" degrees", near < 180) if turned else (space.unit, near < 0.1 * space.diagonal)
+    off, limit = (f"{value / test.unit:.3g}{unit}" for value in (near, test.limit))
+    text = f" (the nearest is off by {off}, allowed is {limit}"
     return text + (
         f"; {test.key} = {_rounded_up(near / test.unit):g} would find it)" if worth else ")"
     )
