@@ -1116,6 +1116,32 @@ on = "cores"
     assert keys_of(folder, text.replace("degree = 1", "degree = 3"))[0] == "mesh.degree"
 
 
+def test_vectors_of_another_dimension_are_told_in_one_round() -> None:
+    """Of a plane body: an axis, a point, two loads and an obstacle of three dimensions."""
+    case = Case.from_dict(
+        {
+            "mesh": {"rectangle": {"size": [2, 1], "cells": [2, 1]}},
+            "materials": {"m": {"law": "neo-hookean", "E": "1 MPa", "nu": 0.3, "density": 1}},
+            "support": [
+                {"kind": "rotation", "on": "left", "axis": "x", "point": [0, 0, 0], "angle": 1}
+            ],
+            "load": [
+                {"kind": "traction", "on": "right", "value": [1, 0, 0]},
+                {"kind": "gravity", "value": [0, 0, -9.81]},
+            ],
+            "contact": [{"on": "top", "plane": {"axis": "z", "at": 2}}],
+        }
+    )
+    with pytest.raises(InputError) as caught:
+        check(case, case.read_body())
+    places = ["load[0].value", "load[1].value", "contact[0].plane.axis"]
+    assert [error.where for error in caught.value.each] == [
+        "support[0].axis",
+        "support[0].point",
+        *places,
+    ]
+
+
 def test_what_refers_to_a_wrong_name_is_no_further_error(folder: Path) -> None:
     """Neither where its selector is wrong, nor where the mesh has no such place."""
     for wrong, key in (('at = "mi"', "surfaces.foot.at"), ("at = 7", "surfaces.foot")):

@@ -286,6 +286,7 @@ def _suggestion(name: str, names: Mapping[str, IndexArray]) -> str:
 
 
 def _check_components(case: Case, body: Body) -> None:
+    """Vectors, axes and obstacles are those of a body of as many dimensions."""
     vectors = [
         (f"support[{i}].{key}", values)
         for i, support in enumerate(case.support)
@@ -301,9 +302,17 @@ def _check_components(case: Case, body: Body) -> None:
             ("dynamics.initial_displacement", case.dynamics.displacement),
             ("dynamics.initial_velocity", case.dynamics.velocity),
         ]
-    for where, values in vectors:
-        if values:
-            check_components(sized(values, body.dim), body.dim, where)
+    turned = case.mesh.geometry == "axisymmetric"
+    with all_errors() as attempt:
+        for where, values in vectors:
+            with attempt():
+                check_components(sized(values, body.dim) if values else None, body.dim, where)
+        for i, support in enumerate(case.support):
+            with attempt(), keyed(f"support[{i}]"):
+                support.check_axis(body.dim)
+        for i, contact in enumerate(case.contact):
+            with attempt(), keyed(f"contact[{i}]"):
+                contact.in_metres(body.unit.metres).check(body.dim, axisymmetric=turned)
 
 
 def _check_mesh_fields(case: Case, body: Body) -> None:

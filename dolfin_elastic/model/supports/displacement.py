@@ -60,6 +60,13 @@ class Restraint(OnSurfaces):
         """Keys of vectors that must have as many components as the body, with their values."""
         return {}
 
+    def check_axis(self, dim: int) -> None:
+        """Raises where its axis, if it has one, is none of a body of 2 or 3 dimensions.
+
+        Raises:
+            InputError: With the key in its table.
+        """
+
     @property
     def time_functions(self) -> tuple[tuple[Component, ...], ...]:
         """Values that may be formulas in t, vector by vector."""
@@ -463,19 +470,23 @@ class Rotation(PrescribingSupport):
         """See `Restraint`."""
         return all(value == 0.0 for value in (self.rotation_angle, *self.translation))
 
+    def check_axis(self, dim: int) -> None:
+        """See `Restraint`."""
+        if dim == 3 and self.axis is None:
+            raise InputError("this key is missing", where="axis", expected='for example "z"')
+        if dim == 2 and any(self.direction[:2]):
+            raise InputError(
+                "a plane body turns about z only", where="axis", expected="leave it out"
+            )
+
     def prescribed_components(self, dim: int) -> tuple[int, ...]:
         """See `PrescribingSupport`.
 
         Raises:
             InputError: The axis or a vector does not fit the body.
         """
-        where = f"support '{self.label}'.axis"
-        if dim == 3 and self.axis is None:
-            raise InputError("this key is missing", where=where, expected='for example "z"')
-        if dim == 2 and any(self.direction[:2]):
-            raise InputError(
-                "a plane body turns about z only", where=where, expected="leave it out"
-            )
+        with keyed(f"support '{self.label}'"):
+            self.check_axis(dim)
         _check_length(self, "point", self.point, dim)
         if self.translation:
             _check_length(self, "displacement", self.translation, dim)
