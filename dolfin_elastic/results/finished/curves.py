@@ -23,6 +23,8 @@ from dolfin_elastic.results.scene.scene import label_of
 
 POINTS = 201
 """Points of a line or circle."""
+NORM = "_norm"
+"""Behind the name of a tensor, of which the norm is told."""
 _TOLERANCE = 1e-6
 """Distance from the body that still counts as inside, over the body's length."""
 _INWARD = 1e-9
@@ -156,7 +158,8 @@ def along(
         if values.ndim == 2 and values.shape[1] == 3:
             parts = [(f"{name}_{axis}", values[:, i]) for i, axis in enumerate("xyz"[: run.dim])]
         else:
-            parts = [(name, shown(sampled.point_data, name))]
+            norm = NORM if values.ndim == 2 else ""
+            parts = [(f"{name}{norm}", shown(sampled.point_data, name))]
         curves += [Axis(n, np.where(inside, v, np.nan), unit) for n, v in parts]
     return Curves(over, curves, _title(run))
 
@@ -215,7 +218,7 @@ def draw_curves(curves: Curves, file: Path) -> None:
             color=f"C{i}",
             marker="o" if few else None,
             markersize=4,
-            label=literal(label_of(curve.name)),
+            label=literal(_name(curve.name)),
         )
         same = [c.name for c in curves.curves if c.unit == curve.unit]
         place.set_ylabel(_label(same[0] if len(same) == 1 else "", prefix))
@@ -236,7 +239,14 @@ def _scaled(curves: Sequence[Axis]) -> tuple[list[FloatArray], float, str]:
     return [curve.values for curve in curves], factor, unit
 
 
+def _name(name: str) -> str:
+    """Name of a curve for people."""
+    tensor = name.removesuffix(NORM)
+    normed = tensor != name and tensor in FIELDS
+    return f"norm of the {label_of(tensor)}" if normed else label_of(name)
+
+
 def _label(name: str, unit: str) -> str:
-    text = literal(label_of(name))
+    text = literal(_name(name))
     powers = unit.replace("^2", "\u00b2").replace("^3", "\u00b3")
     return f"{text} [{powers}]".strip() if unit else text

@@ -104,6 +104,30 @@ def test_a_field_along_a_face_of_curved_elements(folder: Path) -> None:
     assert np.isfinite(values).all()
 
 
+def test_a_tensor_along_a_line_is_named_by_its_norm(folder: Path) -> None:
+    """Of a bar under a uniform tension of 100 Pa, which is the norm of the stress, too."""
+    tables = {
+        "mesh": {
+            "rectangle": {"size": [2, 1], "cells": [2, 1]},
+            "geometry": "plane-stress",
+            "thickness": 1,
+        },
+        "materials": {"one": {"law": "linear-elastic", "E": 1e6, "nu": 0.3}},
+        "support": [{"kind": "symmetry", "on": side} for side in ("left", "bottom")],
+        "load": [{"kind": "traction", "on": "right", "value": [100, 0]}],
+        "output": {"fields": ["cauchy_stress"]},
+    }
+    [*dolfin_elastic.run(Case.from_dict(tables), output=folder / "bar")]
+    points, distance = line([0, 0.5, 0], [2, 0.5, 0])
+    over = Axis("distance", distance, "m")
+    [curve] = along(FinishedRun(folder / "bar"), ["cauchy_stress"], points, over).curves
+    assert curve.name == "cauchy_stress_norm"
+    assert _label(curve.name, "Pa") == "norm of the Cauchy stress [Pa]"
+    assert _label("gap_norm", "") == "gap norm"
+    # The direct solver's round-off.
+    np.testing.assert_allclose(curve.values, 100.0, rtol=1e-10)
+
+
 def test_points_outside(run: FinishedRun) -> None:
     """They have no value; a line that misses the body is refused with the body's size."""
     points, distance = line([1, 0.5, 0.5], [3, 0.5, 0.5])
