@@ -37,6 +37,10 @@ DOMAIN = (
 )
 LOAD = "a formula of that load that has a finite value for every displacement and time"
 SMALLER = "more load steps, a smaller load, or a finer mesh where the elements are crushed"
+SMALL_STRAINS = (
+    "a smaller load or displacement, or stiffer materials: was a unit of a load or of a modulus "
+    "forgotten? Strains as large as these need a law such as 'neo-hookean'"
+)
 BUCKLING = (
     "a small imperfection that leads into the mode (a side load, a bent mesh), or statics.method = "
     '"arc-length" to follow the path, or [dynamics] to see where the body goes'

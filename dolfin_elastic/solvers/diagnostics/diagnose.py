@@ -244,7 +244,7 @@ class _CauseSearch:
     def _inverted_cells(self) -> Diagnosis | None:
         if self._inverted_ahead is not None:
             text = messages.ahead(self._inverted_ahead.text)
-            return self._make("inverted", text, messages.SMALLER, self._inverted_ahead.place)
+            return self._make("inverted", text, self._without_crushing, self._inverted_ahead.place)
         return self._inverted() if self._count_inverted() else None
 
     def _count_inverted(self) -> int:
@@ -267,8 +267,13 @@ class _CauseSearch:
             text += (
                 f"; the last iterate has {messages.count(count, 'such element')} in {self._names()}"
             )
-        diagnosis = self._make("inverted", text, messages.SMALLER, place)
+        diagnosis = self._make("inverted", text, self._without_crushing, place)
         return explained(self.problem, diagnosis)
+
+    @property
+    def _without_crushing(self) -> str:
+        """Advice against elements that turn inside out; steps change no linear equilibrium."""
+        return messages.SMALL_STRAINS if self.problem.linear else messages.SMALLER
 
     def _names(self) -> str:
         names = sorted({cell.material for cell in self.worst if cell.jacobian <= 0.0})

@@ -113,7 +113,8 @@ def test_solutions_that_are_inside_out():
     assert "det F = -" in found.text
     assert "such elements in the body" in found.text
     assert "refused" in found.text
-    assert "more load steps" in found.advice
+    # Neither steps nor a finer mesh change the solution of a linear problem.
+    assert found.advice.startswith("a smaller load or displacement, or stiffer materials")
     assert len(found.cells) == 10
     np.testing.assert_allclose([cell.jacobian for cell in found.cells], J, rtol=1e-12)
 
