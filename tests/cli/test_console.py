@@ -51,9 +51,7 @@ def test_a_search_is_one_line(capfd):
     assert out.count("load 0.1 ... (-v shows every trial)\n") == 2 == out.count("load 0.1")
 
 
-@pytest.mark.parametrize(
-    ("curves", "place"), [(False, "load 150 %  "), (True, "parameter 1.5")]
-)
+@pytest.mark.parametrize(("curves", "place"), [(False, "load 150 %  "), (True, "parameter 1.5")])
 def test_curves_have_a_load_parameter(curves, place, capfd):
     """Where a load follows a curve, a formula or a record, 150 % of it is no load that acts."""
     ProgressLines(motion=False, curves=curves).show(State(1, 1.5, None, load_factor=1.5))  # type: ignore[arg-type]
