@@ -165,6 +165,7 @@ def _panel(
         Surface(faces, x, values, on_faces),
         () if not (names or at_cells) and (tensor or values["value"].shape[1] > 1) else ("value",),
     )
+    last = step in (-1, len(run.steps) - 1)
     left = picture_of(
         surface,
         Surface(cells, x, values, numbers) if run.dim == 3 else None,
@@ -177,8 +178,9 @@ def _panel(
         names=names,
         obstacles=obstacles_of(run, run.frame(step).t),
         outline=not (look.film and run.moving),
+        noise=round_off_of(run, name) if last else 0.0,
         allowable=allowable_of(run.case),
-        reliable=reliable_of(run, name) if step in (-1, len(run.steps) - 1) else None,
+        reliable=reliable_of(run, name) if last else None,
     )
     if not len(left.scene.triangles):
         ends = enumerate(_ends(grid))
@@ -202,6 +204,13 @@ def reliable_of(run: FinishedRun, name: str) -> Reliable | None:
     """What to judge by in the last state, where the largest value of a field is singular."""
     error, other = run.summary.get("error"), ELSEWHERE.get(name, "")
     return Reliable.of(error.get(name), error.get(other)) if isinstance(error, Mapping) else None
+
+
+def round_off_of(run: FinishedRun, name: str) -> float:
+    """Stress [Pa] below which all of the last state is round-off; 0: it has one that counts."""
+    peak = run.summary.get("extremes", {}).get("von_mises", {})
+    left = name == "von_mises" and run.summary.get("unloaded")
+    return 2 * float(peak.get("value") or 0.0) if left else 0.0
 
 
 def up_of(run: FinishedRun) -> Up:

@@ -456,6 +456,8 @@ def test_what_is_singular_is_told(drawn: list[Panel], folder: Path) -> None:
     cut = replace(scene_of([0, 2e6, 1e6]), reliable=Reliable.of(RIM, FILLET))
     cut = series.finished(cut, (0, 2e6), Limits(), panel.seen, marks=True)
     assert [mark.text for mark in cut.marks] == ["max 2 MPa"]  # a plane has left the rest
+    round_off = replace(panel, noise=1e7)
+    assert not series.finished(round_off, (0, 8e6), Limits(), panel.seen, marks=True).marks
 
 
 def test_a_mode_has_no_size(drawn: list[Panel], folder: Path) -> None:
