@@ -301,7 +301,10 @@ def _known_surface(mesh: Mesh, raw: RawMesh | None) -> KnownSurface | None:
     np.put_along_axis(result, order[..., None], sorted_ones, axis=1)
     outward = np.einsum("fkj,fj->f", result, outward_normals(mesh, facets)) >= 0
     return KnownSurface(
-        np.where(outward[:, None, None], result, -result), None, np.full(len(facets), np.nan)
+        np.where(outward[:, None, None], result, -result),
+        None,
+        np.full(len(facets), np.nan),
+        np.zeros(len(facets)),
     )
 
 

@@ -9,11 +9,13 @@ import numpy as np
 import pytest
 from dolfinx import fem
 from helpers.annulus import annulus
+from helpers.cad import angle, write
 from mpi4py import MPI
 
 from dolfin_elastic import Selector, box_body, name_parts, read_body, rectangle_body
 from dolfin_elastic.core.parallel import on_root, total
 from dolfin_elastic.mesh import Body, EdgeSelector, PointSelector
+from dolfin_elastic.mesh.body import boundary_shape
 from dolfin_elastic.mesh.fields import MeshField
 from dolfin_elastic.mesh.geometry.curved import (
     cell_volumes,
@@ -21,7 +23,12 @@ from dolfin_elastic.mesh.geometry.curved import (
     facet_points,
     smallest_jacobians,
 )
-from dolfin_elastic.mesh.geometry.simplices import cell_corners, edge_nodes, facet_corners
+from dolfin_elastic.mesh.geometry.simplices import (
+    boundary_facets,
+    cell_corners,
+    edge_nodes,
+    facet_corners,
+)
 from dolfin_elastic.mesh.refine.cad_surfaces import _restore_folded
 from dolfin_elastic.mesh.refine.marking import bulk
 from dolfin_elastic.mesh.refine.refinement import refine_body
@@ -178,6 +185,31 @@ def test_surfaces_of_cad(tmp_path: Path, curved: bool) -> None:
     assert np.allclose(x[..., 2], 0, rtol=0, atol=1e-12)
     assert smallest_jacobians(body.mesh).min(initial=1.0) > 0.05
     assert off / abs(area(body, "skin") - exact) > (10 if curved else 3)
+
+
+def test_nodes_that_stay_off_cad_are_told_again(tmp_path: Path) -> None:
+    """One element on a fillet of 4 mm: nodes that cannot move to it stay off, and count each time.
+
+    Their number and largest distance are those of the nodes of that face from the exact cylinder.
+    """
+    path = on_root(WORLD, lambda: tmp_path) / "angle.step"
+    write(path, angle)
+    body = read_body(path, size=8)
+    for turn in (45.0, 90.0):
+        body = refine_body(body, body.owned_cells()).body
+        facets = np.intersect1d(body.surface("face 3"), boundary_facets(body.mesh))
+        six = np.array([[0, 0], [1, 0], [0, 1], [0.5, 0], [0, 0.5], [0.5, 0.5]])
+        nodes = facet_points(body.mesh, facets, six)[0].reshape(-1, 3) / 1e-3
+        off = np.abs(np.hypot(nodes[:, 0] - 7, nodes[:, 2] - 7) - 4)
+        every = np.concatenate(WORLD.allgather(nodes[off > 2.7e-5]))
+        most = np.concatenate(WORLD.allgather(off)).max()
+        (note,) = body.notes
+        assert note.startswith(
+            f"{len(np.unique(every.round(6), axis=0))} nodes are off face 3 (cylinder r 4 mm, "
+            f"fillet) of angle.step, by up to {most:.3g} mm at ("
+        )
+        turns = np.concatenate(WORLD.allgather(boundary_shape(body).turn))
+        assert turns.max() > np.deg2rad(turn), "halved by each refinement if it were on the face"
 
 
 def test_marking_carries_its_share() -> None:

@@ -207,15 +207,15 @@ class _Joined:
             return None
         d, count = self.mesh.topology.dim, len(beside)
         normals, gap = np.full((count, d, d), np.nan), np.full(count, np.nan)
-        arcs = np.zeros((count, d), dtype=bool)
+        arcs, off = np.zeros((count, d), dtype=bool), np.zeros(count)
         for number, one in enumerate(self._parts):
             of_part = self.of_part(number)
             known = carry_surface(one.body, self.mesh, self.corners, of_part)
             assert known.arcs is not None  # since it is of a shape
             mine = self.part_of_cell[beside] == number
             normals[mine], gap[mine] = one.vectors(known.normals[mine]), known.gap[mine]
-            arcs[mine] = known.arcs[mine]
-        return KnownSurface(normals, arcs, gap)
+            arcs[mine], off[mine] = known.arcs[mine], known.off[mine]
+        return KnownSurface(normals, arcs, gap, off)
 
 
 @dataclass(frozen=True)

@@ -33,6 +33,7 @@ from dolfin_elastic.mesh.geometry.simplices import (
     boundary_facets,
     cells_beside_facets,
     facet_corners,
+    longest_edges,
 )
 
 EDGE = np.deg2rad(10.0)
@@ -60,11 +61,17 @@ class KnownSurface:
             on all ranks: it was not refined.
         gap: Mean height of the surface above the facet [m], shape (facets,); NaN where it follows
             from the facets.
+        off: Largest distance of the nodes of each facet from the surface that they are to lie on
+            [m], shape (facets,).
+        surfaces: Number in the CAD model of the surface of each facet, 0: of none; shape (facets,).
+            None on all ranks: it was not refined.
     """
 
     normals: FloatArray
     arcs: BoolArray | None
     gap: FloatArray
+    off: FloatArray
+    surfaces: IntArray | None = None
 
 
 class BoundaryShape:
@@ -201,7 +208,9 @@ class BoundaryShape:
     def turn(self) -> FloatArray:
         """Angle [rad] by which the surface turns along each facet, shape (facets,). Local.
 
-        Of straight facets without exact normals that to the next one of the same face.
+        Of straight facets without exact normals that to the next one of the same face.  A facet of
+        length h with nodes off the surface by s counts as the chord of an arc that rises by s,
+        which turns by 4 atan(2 s/h).
         """
         kinks = np.where(self.smooth & (np.abs(self.turns) > _FLAT), np.abs(self.turns), 0.0)
         result = kinks.max(axis=1, initial=0.0)
@@ -210,7 +219,14 @@ class BoundaryShape:
         if self._known is not None:
             exact = _spread(self._known.normals)
             result = np.where(np.isfinite(exact), exact, result)
+            length = longest_edges(facet_corners(self._mesh, self.facets))
+            result = np.maximum(result, 4 * np.arctan2(2 * self.off, length))
         return result
+
+    @property
+    def off(self) -> FloatArray:
+        """As `KnownSurface.off`; 0 where nothing is known. Local."""
+        return np.zeros(len(self.facets)) if self._known is None else self._known.off
 
     @cached_property
     def bend(self) -> FloatArray:
@@ -251,7 +267,7 @@ class BoundaryShape:
         if self._known is not None:
             normals = self._known.normals
         gap = np.where(np.isfinite(normals).all(axis=(1, 2)), np.nan, self.gap)
-        return KnownSurface(normals, self.arcs, gap)
+        return KnownSurface(normals, self.arcs, gap, self.off)
 
 
 def _spread(normals: FloatArray) -> FloatArray:

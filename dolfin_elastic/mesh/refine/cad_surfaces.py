@@ -21,9 +21,10 @@ from mpi4py import MPI
 from dolfin_elastic.core.errors import MeshError
 from dolfin_elastic.core.ghosts import marked, with_ghosts
 from dolfin_elastic.core.parallel import agree, total
-from dolfin_elastic.core.types import AnyArray, FloatArray, IndexArray, IntArray
+from dolfin_elastic.core.types import AnyArray, BoolArray, FloatArray, IndexArray, IntArray
 from dolfin_elastic.mesh.body import Body, CadSource, span
 from dolfin_elastic.mesh.formats.cad.read import CadModel, open_model
+from dolfin_elastic.mesh.geometry.boundary_shape import facet_vertices
 from dolfin_elastic.mesh.geometry.curved import cell_gradients, facet_points, quadrature_rule
 from dolfin_elastic.mesh.geometry.simplices import (
     boundary_facets,
@@ -60,6 +61,42 @@ _NodeSurfaces = dict[int, list[_NodeSurface]]
 """Local node of the finer mesh to its surfaces."""
 
 
+@dataclass(frozen=True)
+class _OnSurface:
+    """The boundary facets of this rank of the finer mesh.
+
+    Attributes:
+        cells, local: The cell of each, and its number in the cell.
+        nodes: Local nodes, its corners first, shape (facets, nodes).
+        surfaces: The surface of each in the CAD model, 0: none.
+        faces: The face of the body that it is on, 0: none.
+    """
+
+    cells: IndexArray
+    local: IndexArray
+    nodes: IndexArray
+    surfaces: IntArray
+    faces: IntArray
+
+
+@dataclass(frozen=True)
+class Placed:
+    """Where the nodes of a finer mesh are after they were moved.
+
+    Attributes:
+        x: Places of the local nodes [m].
+        surfaces: Number in the CAD model of the surface of each facet of the local cells, 0: of
+            none; shape (cells, d + 1).
+        off: Largest distance of its nodes from that surface [m], shape (cells, d + 1).
+        notes: What is doubtful.
+    """
+
+    x: FloatArray
+    surfaces: IntArray
+    off: FloatArray
+    notes: tuple[str, ...]
+
+
 class CadSurfaces:
     """The surfaces of a CAD file.
 
@@ -72,38 +109,64 @@ class CadSurfaces:
 
     def place(
         self, body: Body, division: Division, space: fem.FunctionSpace, x: FloatArray
-    ) -> tuple[FloatArray, tuple[str, ...]]:
+    ) -> Placed:
         """Moves the nodes on the boundary of the finer mesh to the surfaces. Collective.
 
         Args:
-            body: The coarse body, whose corners lie on the surfaces.
+            body: The coarse body.  Its corners lie on the surfaces, or it was refined, and is known
+                which surface each facet is to lie on.
             space: Scalar Lagrange space whose nodes are those of the finer mesh.
             x: Their places [m] in the shape of the coarse body, ghosts included.
-
-        Returns:
-            Their new places, and notes.
 
         Raises:
             MeshError: The file cannot be read any more.
         """
-        facets, near, moved = boundary_facets(body.mesh), _NEAR * span(body), x.copy()
+        known = body.known_surface
+        facets, near = boundary_facets(body.mesh), _NEAR * span(body)
+        moved, nearest = x.copy(), x.copy()
         with ExitStack() as opened:
 
             def classified() -> tuple[_Model, IntArray]:
                 source = open_model(self._source.path, self._source.permission)
                 model = _Model(opened.enter_context(source), body.dim)
+                if known is not None and known.surfaces is not None:
+                    return model, known.surfaces
                 return model, self._classify(model, body, facets, near)
 
             model, tags = _on_each_rank(body.comm, classified)
+            table = np.zeros((len(division.parents), body.dim + 1))
             if not total(body.comm, int(np.count_nonzero(tags))):
                 note = f"the mesh does not lie on the surfaces of {body.source}: it keeps its shape"
-                return x, (note,)
-            links = _shared(space, _links(body, division, space, x, facets, tags))
-            _on_each_rank(body.comm, lambda: self._project(model, links, moved))
-        _from_owners(space, moved)
-        stay = _restore_folded(body, space, x, moved)
-        note = f"{stay} nodes are not on the surfaces of {body.source}: elements would fold"
-        return moved, (note,) if stay else ()
+                return Placed(x, table.astype(np.int64), table, (note,))
+            finer = _finer_facets(body, division, space, facets, tags)
+            links = _shared(space, _links(x, finer))
+            _on_each_rank(body.comm, lambda: self._project(model, links, moved, nearest))
+            _from_owners(space, moved)
+            _from_owners(space, nearest)
+            _restore_folded(body, space, x, moved)
+            away = (moved != nearest).any(axis=1)
+            off = _on_each_rank(body.comm, lambda: self._off(model, finer, moved, away))
+        off[off <= near] = 0.0
+        surfaces = table.astype(np.int64)
+        surfaces[finer.cells, finer.local] = finer.surfaces
+        table[finer.cells, finer.local] = off.max(axis=1, initial=0.0)
+        return Placed(moved, surfaces, table, _notes(body, space, moved, finer, off))
+
+    def _off(
+        self, model: _Model, finer: _OnSurface, moved: FloatArray, away: BoolArray
+    ) -> FloatArray:
+        """Distances [m] of nodes from the surfaces of their facets, shape of `finer.nodes`. Local.
+
+        Args:
+            away: Local nodes that are not at the nearest points of their surfaces.
+        """
+        result = np.zeros(finer.nodes.shape)
+        for tag in model.surfaces:
+            which = away[finer.nodes] & (finer.surfaces == tag)[:, None]
+            if which.any() and not model.is_straight(tag):
+                x = _padded(moved[finer.nodes[which]] / self._source.scale)
+                result[which] = model.distances(tag, x, np.inf) * self._source.scale
+        return result
 
     def _classify(self, model: _Model, body: Body, facets: IndexArray, near: float) -> IntArray:
         """Number of the surface of each boundary facet of the coarse mesh, 0: none. Local."""
@@ -124,8 +187,15 @@ class CadSurfaces:
             tags[candidates[closer]], best[candidates[closer]] = tag, away[closer]
         return tags
 
-    def _project(self, model: _Model, links: _NodeSurfaces, moved: FloatArray) -> None:
-        """Moves nodes to the nearest points of their surfaces or curves. Local."""
+    def _project(
+        self, model: _Model, links: _NodeSurfaces, moved: FloatArray, nearest: FloatArray
+    ) -> None:
+        """Moves nodes to the nearest points of their surfaces or curves. Local.
+
+        Args:
+            moved: Places [m] of the local nodes, changed where that point is not far.
+            nearest: The same, changed everywhere.
+        """
         groups = dict[tuple[int, ...], list[int]]()
         for node, result in links.items():
             groups.setdefault(tuple(sorted({t.surface for t in result})), []).append(node)
@@ -137,8 +207,9 @@ class CadSurfaces:
             step = np.linalg.norm(new - old, axis=1) * self._source.scale
             size = np.array([min(t.size for t in links[node]) for node in nodes])
             good = step <= _FAR * size
+            nearest[nodes] = new[:, : moved.shape[1]] * self._source.scale
             chosen = np.array(nodes)[good]
-            moved[chosen] = new[good, : moved.shape[1]] * self._source.scale
+            moved[chosen] = nearest[chosen]
 
 
 class _Model:
@@ -151,6 +222,10 @@ class _Model:
     def __init__(self, model: CadModel, dim: int) -> None:
         self._model, self._dim = model, dim - 1
         self.surfaces = model.entities(self._dim)
+
+    def is_straight(self, tag: int) -> bool:
+        """Whether a surface is a plane, or a curve a line."""
+        return self._model.kind(self._dim, tag) in _STRAIGHT
 
     def distances(self, tag: int, coordinates: FloatArray, near: float) -> FloatArray:
         """Distances of places to a surface; infinite outside of its box by more than `near`.
@@ -174,8 +249,7 @@ class _Model:
         Args:
             coordinates: In the file's unit, shape (n, 3).
         """
-        straight = [self._model.kind(self._dim, tag) in _STRAIGHT for tag in surfaces]
-        if all(straight) or len(surfaces) > self._dim:
+        if all(map(self.is_straight, surfaces)) or len(surfaces) > self._dim:
             return None
         if len(surfaces) == 1:
             return self._model.nearest(self._dim, surfaces[0], coordinates)
@@ -207,34 +281,68 @@ def _padded(coordinates: AnyArray) -> FloatArray:
     )
 
 
-def _links(
-    body: Body,
-    division: Division,
-    space: fem.FunctionSpace,
-    x: FloatArray,
-    facets: IndexArray,
-    tags: IntArray,
-) -> _NodeSurfaces:
-    """Surfaces of the nodes on this rank's boundary facets of the finer mesh."""
+def _finer_facets(
+    body: Body, division: Division, space: fem.FunctionSpace, facets: IndexArray, tags: IntArray
+) -> _OnSurface:
+    """The facets of the finer mesh's boundary on this rank, on the surfaces of the coarse ones.
+
+    Args:
+        tags: The surface of each of the coarse mesh's `facets`.
+    """
     d = body.dim
-    of_cells = np.zeros((len(body.mesh.geometry.dofmap), d + 1), dtype=np.int64)
-    of_cells[cells_beside_facets(body.mesh, facets)] = tags
-    finer = boundary_facets(division.mesh)
-    cells, local = cells_beside_facets(division.mesh, finer)
+    of_cells = np.zeros((len(body.mesh.geometry.dofmap), d + 1, 2), dtype=np.int64)
+    numbers = np.zeros_like(tags) if body.faces is None else body.faces.numbers_of(facets)
+    of_cells[cells_beside_facets(body.mesh, facets)] = np.column_stack([tags, numbers])
+    cells, local = cells_beside_facets(division.mesh, boundary_facets(division.mesh))
     closure = lagrange(d, int(body.mesh.geometry.cmap.degree)).entity_closure_dofs[d - 1]
+    corners = division.corners[cells[:, None], facet_vertices(d)[local]]
+    within = (corners == 0.0).all(axis=1)  # in which facet of the parent
+    surfaces, faces = (of_cells[division.parents[cells]] * within[..., None]).sum(axis=1).T
+    nodes = np.take_along_axis(space.dofmap.list[cells], np.array(closure)[local], axis=1)
+    return _OnSurface(cells, local, nodes, surfaces, faces)
+
+
+def _links(x: FloatArray, finer: _OnSurface) -> _NodeSurfaces:
+    """Surfaces of the nodes on this rank's boundary facets of the finer mesh."""
     links: _NodeSurfaces = {}
-    for i in range(d + 1):
-        own = cells[local == i]
-        corners = np.delete(division.corners[own], i, axis=1)
-        within = (corners == 0.0).all(axis=1)  # in which facet of the parent
-        surface = (of_cells[division.parents[own]] * within).sum(axis=1)
-        nodes = space.dofmap.list[own][:, closure[i]]
-        # The first d nodes of a facet are its corners.
-        size = longest_edges(x[nodes[:, :d]])
-        for row, tag, edge in zip(nodes, surface, size, strict=True):
-            for node in row if tag else ():
-                links.setdefault(int(node), []).append(_NodeSurface(int(tag), float(edge)))
+    # The first d nodes of a facet are its corners.
+    size = longest_edges(x[finer.nodes[:, : x.shape[1]]])
+    for row, tag, edge in zip(finer.nodes, finer.surfaces, size, strict=True):
+        for node in row if tag else ():
+            links.setdefault(int(node), []).append(_NodeSurface(int(tag), float(edge)))
     return links
+
+
+def _notes(
+    body: Body, space: fem.FunctionSpace, x: FloatArray, finer: _OnSurface, off: FloatArray
+) -> tuple[str, ...]:
+    """A note where nodes are off the surfaces. Collective.
+
+    Args:
+        off: Distance [m] of each node of `finer`.
+    """
+    nodes = np.unique(finer.nodes[off > 0])
+    mine = {
+        "nodes": space.dofmap.index_map.local_to_global(nodes.astype(np.int32)),
+        "faces": np.unique(finer.faces[(off > 0).any(axis=1)]),
+        "most": off.max(initial=0.0),
+        "place": x[finer.nodes.reshape(-1)[off.argmax()]] if off.size else np.zeros(body.dim),
+    }
+    every = body.comm.allgather(mine)
+    count = len(np.unique(np.concatenate([one["nodes"] for one in every])))
+    if not count:
+        return ()
+    # Of equal distances the same place on any number of ranks.
+    most = max(one["most"] for one in every)
+    place = min(tuple(one["place"]) for one in every if one["most"] >= most * (1 - 1e-9))
+    numbers = sorted({int(n) for one in every for n in one["faces"] if n})
+    word = "face" if body.dim == 3 else "curve"
+    which = f"{word} {body.faces.listed(numbers)}" if body.faces and numbers else "the surfaces"
+    return (
+        f"{count} nodes are off {which} of {body.source}, by up to "
+        f"{body.unit.length(most)} at {body.unit.point(place)}: elements would fold; a peak of "
+        "stress there is not known; a smaller mesh.size, which meshes the file anew, follows it",
+    )
 
 
 def _shared(space: fem.FunctionSpace, links: _NodeSurfaces) -> _NodeSurfaces:

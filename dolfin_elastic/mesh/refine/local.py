@@ -10,7 +10,7 @@ import numpy as np
 from dolfin_elastic.core.errors import MeshError, nearest
 from dolfin_elastic.core.files.memory import check_memory
 from dolfin_elastic.core.parallel import total
-from dolfin_elastic.core.types import BoolArray, FloatArray, IndexArray
+from dolfin_elastic.core.types import BoolArray, FloatArray
 from dolfin_elastic.core.units import metres
 from dolfin_elastic.mesh.body import Body, spelling
 from dolfin_elastic.mesh.geometry.simplices import cell_corners, prepare_facets
@@ -32,11 +32,10 @@ def refined_uniformly(body: Body, times: int) -> Body:
         MeshError: There would be too many cells.
     """
     _check_count(body, float(body.num_cells) * 2.0 ** (body.dim * times), "mesh.refine")
-    before = body.num_cells
+    coarse = body
     for _ in range(times):
-        body = _finer(body, body.owned_cells())
-    text = f"refined uniformly {times} time{'s' if times > 1 else ''}: {before} elements before"
-    return replace(body, information=(*body.information, text))
+        body = refine_body(body, body.owned_cells()).body
+    return _with_remarks(coarse, body, f"uniformly {times} time{'s' if times > 1 else ''}")
 
 
 def refined_locally(body: Body, sizes: Sequence[LocalSize]) -> Body:
@@ -52,7 +51,7 @@ def refined_locally(body: Body, sizes: Sequence[LocalSize]) -> Body:
         MeshError: A name does not exist, there is nothing in a place, or there would be too many
             cells.
     """
-    before, information = body.num_cells, []
+    coarse, information = body, []
     for index, one in enumerate(sizes):
         where = f"mesh.refine[{index}]"
         size = metres(one.size, body.unit.metres)
@@ -71,16 +70,15 @@ def refined_locally(body: Body, sizes: Sequence[LocalSize]) -> Body:
             if not count:
                 break
             _check_count(body, body.num_cells + count * (2.0**body.dim - 1.0), f"{where}.size")
-            body = _finer(body, marked.astype(np.int32))
-    text = f"refined to {', '.join(information)}: {before} elements before"
-    return replace(body, information=(*body.information, text))
+            body = refine_body(body, marked.astype(np.int32)).body
+    return _with_remarks(coarse, body, f"to {', '.join(information)}")
 
 
-def _finer(body: Body, cells: IndexArray) -> Body:
-    """The refined body, with the remarks about the one that was read."""
-    finer = refine_body(body, cells).body
-    notes = tuple(dict.fromkeys((*body.notes, *finer.notes)))
-    return replace(finer, notes=notes, information=body.information)
+def _with_remarks(coarse: Body, body: Body, how: str) -> Body:
+    """The refined body, also with the remarks about the one that was read."""
+    notes = tuple(dict.fromkeys((*coarse.notes, *body.notes)))
+    text = f"refined {how}: {coarse.num_cells} elements before"
+    return replace(body, notes=notes, information=(*coarse.information, text))
 
 
 def _check_count(body: Body, cells: float, where: str) -> None:

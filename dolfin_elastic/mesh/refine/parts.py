@@ -128,23 +128,25 @@ def carry_surface(
     cells, local = cells_beside_facets(mesh, facets)
     within = _entities_within(d, d - 1, corners)[cells, local]  # (facets, parent's facet)
     normals, gap = np.full((len(facets), d, d), np.nan), np.full(len(facets), np.nan)
+    off = np.zeros(len(facets))
     own = corners[cells[:, None], vertices[local]]  # (facets, corner, parent's corner)
     for facet in range(d + 1):
-        rows = np.full((count, d, d + 1), np.nan)
+        rows = np.full((count, d, d + 2), np.nan)
         there = of_facets == facet
         rows[shape.cells[there], :, :d] = known.normals[there]
         rows[shape.cells[there], 0, d] = known.gap[there]
+        rows[shape.cells[there], 0, d + 1] = known.off[there]
         parents = of_parents(rows)[cells]
         here = within[:, facet]
         mean = np.einsum("fkv,fvj->fkj", own[here][:, :, vertices[facet]], parents[here][..., :d])
         normals[here] = mean / np.linalg.norm(mean, axis=2, keepdims=True)
-        gap[here] = parents[here, 0, d]
+        gap[here], off[here] = parents[here, 0, d], parents[here, 0, d + 1]
     ridges = np.zeros((count, len(cell_ridges(d))), dtype=np.uint8)
     np.maximum.at(ridges, (shape.cells[:, None], shape.numbers), known.arcs.astype(np.uint8))
     of_cells = _entities_within(d, d - 2, corners)
     arcs = np.einsum("cij,cj->ci", of_cells.astype(np.uint8), of_parents(ridges)) > 0
     _, numbers = facet_ridges(d, local)
-    return KnownSurface(normals, arcs[cells[:, None], numbers], gap)
+    return KnownSurface(normals, arcs[cells[:, None], numbers], gap, off)
 
 
 def _entities_within(d: int, dim: int, corners: FloatArray) -> AnyArray:

@@ -17,6 +17,7 @@ from dolfin_elastic.core.types import AnyArray, FloatArray, IndexArray, IntArray
 from dolfin_elastic.mesh.body import Body
 from dolfin_elastic.mesh.distribute import make_mesh
 from dolfin_elastic.mesh.fields import MeshField
+from dolfin_elastic.mesh.geometry.simplices import boundary_facets, cells_beside_facets
 from dolfin_elastic.mesh.refine.cad_surfaces import CadSurfaces
 from dolfin_elastic.mesh.refine.division import (
     Division,
@@ -123,9 +124,10 @@ def refine_body(body: Body, cells: IndexArray) -> Refinement:
     division = divide(body.mesh, cells)
     order = int(body.mesh.geometry.cmap.degree)
     space = fem.functionspace(division.mesh, ("Lagrange", order))
-    x, notes = _node_places(body, division, space), tuple[str, ...]()
+    x, notes, placed = _node_places(body, division, space), tuple[str, ...](), None
     if body.cad is not None:
-        x, notes = CadSurfaces(body.cad).place(body, division, space, x)
+        placed = CadSurfaces(body.cad).place(body, division, space, x)
+        x, notes = placed.x, placed.notes
     index = space.dofmap.index_map
     nodes = index.local_to_global(space.dofmap.list.reshape(-1)).reshape(space.dofmap.list.shape)
     mesh = make_mesh(body.comm, nodes, x[: index.size_local], order)
@@ -136,6 +138,12 @@ def refine_body(body: Body, cells: IndexArray) -> Refinement:
 
     corners = np.asarray(links(division.corners))
     parts = carry_parts(body, mesh, corners, of_parents)
+    known = carry_surface(body, mesh, corners, of_parents)
+    if placed is not None:
+        beside = cells_beside_facets(mesh, boundary_facets(mesh))
+        known = replace(
+            known, off=links(placed.off)[beside], surfaces=links(placed.surfaces)[beside]
+        )
     finer = replace(
         body,
         mesh=mesh,
@@ -144,7 +152,7 @@ def refine_body(body: Body, cells: IndexArray) -> Refinement:
         edges=parts["edges"],
         points=parts["points"],
         faces=carry_faces(body, mesh, corners, of_parents),
-        known_surface=carry_surface(body, mesh, corners, of_parents),
+        known_surface=known,
         fields={},
         notes=notes,
         information=(),

@@ -512,14 +512,17 @@ class _Judge(PeakFinder):
         return float(self._errors[node]), self._unresolved(node)
 
     def _unresolved(self, node: int) -> str:
-        r, unit = self._resolution, self._problem.body.unit
+        r, body = self._resolution, self._problem.body
         if not r.unresolved[node]:
             return ""
         text = f"an element turns by {np.degrees(r.turn[node]):.0f} degrees along the face"
+        if off := r.off[node]:
+            face = f"{'face' if body.dim == 3 else 'curve'} {r.face[node]:.0f}"
+            text = f"the mesh lies {body.unit.length(off, 2)} off {face} of {body.source}"
         if r.bend[node] <= 0:
             return text
-        size = RESOLVED / r.bend[node] / unit.metres
-        return f"{text}: size = {size:.3g} {unit.name} resolves it"
+        size = f"size = {RESOLVED / r.bend[node] / body.unit.metres:.3g} {body.unit.name}"
+        return f"{text}: {size} {'meshes it anew' if off else 'resolves it'}"
 
 
 _SURFACES: WeakKeyDictionary[Problem, list[tuple[int, str, IntArray]]] = WeakKeyDictionary()

@@ -53,12 +53,16 @@ class Resolution:
         factor: How many times the recovered stress the exact one may be; 1 where it is resolved.
         bend: Largest curvature of these faces [1/m].
         polygon: Relative error of stresses because cells are straight.
+        off: Largest distance [m] of nodes of an unresolved cell there from a face of a CAD file.
+        face: Number of such a face; 0 where there is none.
     """
 
     turn: FloatArray
     factor: FloatArray
     bend: FloatArray
     polygon: FloatArray
+    off: FloatArray
+    face: FloatArray
 
     @property
     def unresolved(self) -> BoolArray:
@@ -73,6 +77,8 @@ def resolution(problem: Problem) -> Resolution:
     length = longest_edges(facet_corners(problem.body.mesh, shape.facets))
     sharp = np.maximum(_LEAST, _SHARP * np.maximum(-bend * length, 0.0) ** _EXPONENT)
     unresolved = (turn > MOST * (1 + 1e-6)) & (bend < 0)
+    off, faces = np.where(turn > MOST, shape.off, 0.0), problem.body.faces
+    numbers = np.zeros(len(off)) if faces is None else faces.numbers_of(shape.facets)
     nodes = dofs_on_facets(V, shape.facets)
     straight = problem.body.mesh.geometry.cmap.degree == 1
     result = largest_at_nodes(
@@ -84,10 +90,13 @@ def resolution(problem: Problem) -> Resolution:
                 np.where(unresolved, sharp, 1.0),
                 np.abs(bend),
                 turn * _POLYGON if straight else np.zeros_like(turn),
+                off,
+                np.where(off > 0, numbers, 0),
             ]
         ),
     )
-    return Resolution(result[:, 0], np.maximum(result[:, 1], 1.0), result[:, 2], result[:, 3])
+    turn, factor, bend, polygon, off, face = result.T
+    return Resolution(turn, np.maximum(factor, 1.0), bend, polygon, off, face)
 
 
 def largest_at_nodes(V: fem.FunctionSpace, nodes: IndexArray, values: FloatArray) -> FloatArray:

@@ -7,7 +7,8 @@ that is wanted.  The solution is interpolated to the finer mesh, from where Newt
 from __future__ import annotations
 
 import logging
-from collections.abc import Generator
+import re
+from collections.abc import Generator, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -216,6 +217,7 @@ class _Convergence:
         """All meshes. Collective."""
         timing.begin()
         body = self._first_body()
+        notes = first = log_notes(self.case, body)
         progress = Progress(self.goal.quantity, self.goal.tolerance, ())
         refinement, before = None, None
         try:
@@ -236,14 +238,16 @@ class _Convergence:
                     return
                 solved = self._solve(body, problem, refinement, before)
                 progress = self._judged(progress, solved)
-                self._write(solved, progress)
+                self._write(solved, progress, notes)
                 yield progress
                 if progress.verdict == "running":
                     with timing.stage("mesh"):
                         refinement, before = self._refined(solved), solved
                         body = refinement.body
-                    for note in body.notes:
-                        log.info("mesh: %s", note)
+                    told = [f"mesh: {note}" for note in body.notes]
+                    for note in told:
+                        log.warning("%s", note)
+                    notes = [*(re.sub("^mesh: ", "first mesh: ", n) for n in first), *told]
         except StoppedError:
             acknowledge()
             if progress.levels:
@@ -258,7 +262,6 @@ class _Convergence:
     def _first_body(self) -> Body:
         with timing.stage("mesh"):
             body = self.case.read_body(self.comm)
-        log_notes(self.case, body)
         probes = [*self.case.output.probes]
         supports = [support.label for support in self.case.support]
         self.goal.quantity.check(body, probes, supports)
@@ -388,10 +391,14 @@ class _Convergence:
 
     # --- what is written ---
 
-    def _write(self, solved: _Solved, progress: Progress) -> None:
-        """The results of this mesh, in place of those of the one before. Collective."""
+    def _write(self, solved: _Solved, progress: Progress, notes: Sequence[str]) -> None:
+        """The results of this mesh, in place of those of the one before. Collective.
+
+        Args:
+            notes: What is doubtful in the first mesh, the case and this mesh.
+        """
         self.lock.acquire(create=True)
-        model = model_record(self.case, solved.body, (), (), {})
+        model = model_record(self.case, solved.body, (), notes, {})
         with open_outputs(outputs_of(self.case, model), solved.problem, self.folder) as writers:
             for writer in writers:
                 if isinstance(writer, SummaryWriter) and progress.verdict == "running":
