@@ -374,7 +374,7 @@ class _Convergence:
         regular = find_peaks(solved.problem, solved.estimate).regular if known else None
         if regular is not None:
             text += f"; the largest elsewhere is {regular.text()}"
-        return text
+        return text + (_doubt(peak) if peak is not None and peak.unresolved else "")
 
     # --- the next mesh ---
 
