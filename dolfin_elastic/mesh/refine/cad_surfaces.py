@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from typing import TypeVar, cast
 
 import numpy as np
-from dolfinx import fem
+from dolfinx import fem, la
 from dolfinx.common import IndexMap
 from mpi4py import MPI
 
@@ -31,6 +31,7 @@ from dolfin_elastic.mesh.geometry.simplices import (
     cells_beside_facets,
     facet_nodes,
     longest_edges,
+    prepare_facets,
 )
 from dolfin_elastic.mesh.refine.division import Division, lagrange
 
@@ -41,6 +42,10 @@ _FAR = 0.6
 """Share of a finer facet's longest edge up to which its nodes are moved."""
 _FLAT = 0.1
 """Smallest determinant of a cell's map, over its mean before, that moved nodes may leave."""
+_STIFF = 4
+"""Springs have stiffnesses of 1/length to this power: with 3 cells in a fillet still folded."""
+_SWEEPS, _LAYERS = 40, 4
+"""Sweeps of Jacobi's method, and layers of cells round those that fold, in which nodes move."""
 _STRAIGHT = ("Plane", "Line")
 
 
@@ -143,6 +148,7 @@ class CadSurfaces:
             _on_each_rank(body.comm, lambda: self._project(model, links, moved, nearest))
             _from_owners(space, moved)
             _from_owners(space, nearest)
+            _relax(body, space, _kept_nodes(body, division, space, finer), x, moved)
             _restore_folded(body, space, x, moved)
             away = (moved != nearest).any(axis=1)
             off = _on_each_rank(body.comm, lambda: self._off(model, finer, moved, away))
@@ -376,18 +382,82 @@ def _from_owners(space: fem.FunctionSpace, x: FloatArray) -> None:
 
 def _restore_folded(body: Body, space: fem.FunctionSpace, x: FloatArray, moved: FloatArray) -> int:
     """Puts nodes of cells back that would be flat or fold, in `moved`; how many. Collective."""
-    order, d = int(body.mesh.geometry.cmap.degree), body.dim
-    points = np.concatenate([lagrange(d, order).points, quadrature_rule(d, 4)[0]])
-    cells, index = space.dofmap.list, space.dofmap.index_map
-    before = np.linalg.det(cell_gradients(x[cells], order, points))
-    mean = before.mean(axis=1, keepdims=True)
-    limit = np.minimum(_FLAT, 0.9 * (before / mean).min(axis=1, initial=np.inf))
+    cells, index, folded = space.dofmap.list, space.dofmap.index_map, _folded(body, space, x)
     stay = 0
     while True:
-        after = np.linalg.det(cell_gradients(moved[cells], order, points))
-        bad = (after / mean).min(axis=1, initial=np.inf) < limit
+        bad = folded(moved)
         if not total(body.comm, int(np.count_nonzero(bad))):
             return int(stay)
         back = marked(index, cells[bad]) & (moved != x).any(axis=1)
         moved[back] = x[back]
         stay += total(body.comm, int(np.count_nonzero(back[: index.size_local])))
+
+
+def _folded(
+    body: Body, space: fem.FunctionSpace, x: FloatArray
+) -> Callable[[FloatArray], BoolArray]:
+    """Tells which local cells are flat or fold where nodes have moved from `x`. Local."""
+    order, d, cells = int(body.mesh.geometry.cmap.degree), body.dim, space.dofmap.list
+    points = np.concatenate([lagrange(d, order).points, quadrature_rule(d, 4)[0]])
+    before = np.linalg.det(cell_gradients(x[cells], order, points))
+    mean = before.mean(axis=1, keepdims=True)
+    limit = np.minimum(_FLAT, 0.9 * (before / mean).min(axis=1, initial=np.inf))
+
+    def folded(moved: FloatArray) -> BoolArray:
+        after = np.linalg.det(cell_gradients(moved[cells], order, points))
+        return np.asarray((after / mean).min(axis=1, initial=np.inf) < limit)
+
+    return folded
+
+
+def _kept_nodes(
+    body: Body, division: Division, space: fem.FunctionSpace, finer: _OnSurface
+) -> BoolArray:
+    """Local nodes on the boundary, named surfaces and faces between bodies. Collective."""
+    d, mesh = body.dim, body.mesh
+    prepare_facets(mesh)
+    of_cells = mesh.topology.connectivity(d, d - 1).array.reshape(-1, d + 1)
+    parts = [*body.surfaces.values(), *([] if body.faces is None else [body.faces.facets])]
+    named = np.isin(of_cells, np.concatenate([np.empty(0, dtype=np.int32), *parts]))
+    closure = lagrange(d, int(mesh.geometry.cmap.degree)).entity_closure_dofs[d - 1]
+    vertices, nodes = facet_vertices(d), [finer.nodes.reshape(-1)]
+    for i in range(d + 1):
+        within = (division.corners[:, vertices[i]] == 0.0).all(axis=1)
+        there = (within & named[division.parents]).any(axis=1)
+        nodes.append(space.dofmap.list[there][:, closure[i]].reshape(-1))
+    return marked(space.dofmap.index_map, np.concatenate(nodes))
+
+
+def _relax(
+    body: Body, space: fem.FunctionSpace, kept: BoolArray, x: FloatArray, moved: FloatArray
+) -> None:
+    """Lets nodes within the body follow those of its boundary near cells that fold. Collective.
+
+    Nodes of a cell are joined by springs, the shorter the stiffer, so that a node moves with the
+    nearest ones (J. T. Batina, AIAA Journal 28 (1990) 1381, doi:10.2514/3.25229); Jacobi's method.
+
+    Args:
+        kept: Local nodes that stay where they are in `moved`.
+    """
+    index, d, cells = space.dofmap.index_map, body.dim, space.dofmap.list
+    folded = _folded(body, space, x)
+    free = marked(index, cells[folded(moved)])
+    for _ in range(_LAYERS):
+        free = marked(index, cells[free[cells].any(axis=1)])
+    free &= ~kept
+    owned = cells[: space.mesh.topology.index_map(d).size_local]
+    owned = owned[free[owned].any(axis=1)]
+    lengths = np.linalg.norm(x[owned][:, :, None] - x[owned][:, None], axis=3)
+    springs = np.where(lengths > 0, lengths / span(body), np.inf) ** -_STIFF
+    work = la.vector(index, d + 1)
+    sums = work.array.reshape(-1, d + 1)
+    for sweep in range(_SWEEPS):
+        if sweep % 10 == 0 and not total(body.comm, int(np.count_nonzero(folded(moved)))):
+            return
+        steps = np.concatenate([(moved - x)[owned], np.ones((*owned.shape, 1))], axis=2)
+        forces = (springs @ steps).reshape(-1, d + 1)
+        sums[:] = 0.0
+        np.add.at(sums, owned.reshape(-1), forces)
+        work.scatter_reverse(la.InsertMode.add)
+        work.scatter_forward()
+        moved[free] = x[free] + sums[free, :d] / sums[free, d:]
