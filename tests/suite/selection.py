@@ -8,8 +8,8 @@ Where the command line names files, all of their tests run, whatever set they be
                    of a `sample(k)` k              `long` nor SLOW; on 3 of every sixth
     rest (--rest)  PLENTY parameters of each       MOST parameters of each test of the files that
                    test, but the quick set and     run on n ranks; where they run on 2 and on 3,
-                   what is `spare`; which ones     one test there, the next here, `long` ones on 2
-                   follows from the week
+                   what is `spare`; which ones     one test there, the next here, `long` ones on 2;
+                   follows from the week           of those on 2 the week takes half
     all (--all)    every test                      every test and parameter of these files that is
                                                    not ENDURING, on each number of ranks that they
                                                    run on
@@ -414,16 +414,19 @@ def _quick(items: Iterable[pytest.Item], ranks: int) -> list[pytest.Item]:
 def _on_ranks(items: list[pytest.Item], ranks: int, turn: str) -> list[pytest.Item]:
     """The tests for so many of several ranks: those of a file on two and on three take turns.
 
-    Long ones run on two alone, which three ranks on two cores would take twice as long for.
+    Long ones run on two alone, which three ranks on two cores would take twice as long for.  Half
+    of those on two have their turn: all of them take nearly as long as all that runs on one.
 
     Args:
-        turn: See `_spread`.
+        turn: See `_spread`; empty: all have it.
     """
     found: set[int] = set()
     seen: Counter[str] = Counter()
     for group in _alike(items):
         file = _file(group[0])
         seen[file] += 1
+        if turn and ranks == 2 and seen[file] // 2 % 2 != first_of(turn, "two ranks", 2):
+            continue
         on_three = file in SHARED and seen[file] % 2
         mine = [
             item
