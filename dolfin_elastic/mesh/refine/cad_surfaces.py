@@ -65,6 +65,9 @@ class _NodeSurface:
 _NodeSurfaces = dict[int, list[_NodeSurface]]
 """Local node of the finer mesh to its surfaces."""
 
+_Folded = Callable[[FloatArray], BoolArray]
+"""Local cells that are flat or fold with their nodes at these places."""
+
 
 @dataclass(frozen=True)
 class _OnSurface:
@@ -148,8 +151,11 @@ class CadSurfaces:
             _on_each_rank(body.comm, lambda: self._project(model, links, moved, nearest))
             _from_owners(space, moved)
             _from_owners(space, nearest)
-            _relax(body, space, _kept_nodes(body, division, space, finer), x, moved)
-            _restore_folded(body, space, x, moved)
+            folded = _folded(body, space, x)
+            if total(body.comm, int(np.count_nonzero(folded(moved)))):
+                kept = _kept_nodes(body, division, space, finer)
+                _relax(body, space, folded, kept, x, moved)
+                _restore_folded(body, space, x, moved)
             away = (moved != nearest).any(axis=1)
             off = _on_each_rank(body.comm, lambda: self._off(model, finer, moved, away))
         off[off <= near] = 0.0
@@ -393,9 +399,7 @@ def _restore_folded(body: Body, space: fem.FunctionSpace, x: FloatArray, moved: 
         stay += total(body.comm, int(np.count_nonzero(back[: index.size_local])))
 
 
-def _folded(
-    body: Body, space: fem.FunctionSpace, x: FloatArray
-) -> Callable[[FloatArray], BoolArray]:
+def _folded(body: Body, space: fem.FunctionSpace, x: FloatArray) -> _Folded:
     """Tells which local cells are flat or fold where nodes have moved from `x`. Local."""
     order, d, cells = int(body.mesh.geometry.cmap.degree), body.dim, space.dofmap.list
     points = np.concatenate([lagrange(d, order).points, quadrature_rule(d, 4)[0]])
@@ -429,7 +433,12 @@ def _kept_nodes(
 
 
 def _relax(
-    body: Body, space: fem.FunctionSpace, kept: BoolArray, x: FloatArray, moved: FloatArray
+    body: Body,
+    space: fem.FunctionSpace,
+    folded: _Folded,
+    kept: BoolArray,
+    x: FloatArray,
+    moved: FloatArray,
 ) -> None:
     """Lets nodes within the body follow those of its boundary near cells that fold. Collective.
 
@@ -440,7 +449,6 @@ def _relax(
         kept: Local nodes that stay where they are in `moved`.
     """
     index, d, cells = space.dofmap.index_map, body.dim, space.dofmap.list
-    folded = _folded(body, space, x)
     free = marked(index, cells[folded(moved)])
     for _ in range(_LAYERS):
         free = marked(index, cells[free[cells].any(axis=1)])
