@@ -18,6 +18,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from dolfin_elastic.case.toml import changed_tables
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.model.materials.isochoric import Isochoric
 from dolfin_elastic.model.materials.law import Law
@@ -101,17 +102,9 @@ class PositiveShear(Condition):
 
     def _shear(self, numbers: dict[str, float]) -> float:
         assert isinstance(self.law, Isochoric)
-        tops = {
-            name: [*value] if isinstance(value, list) else value
-            for name, value in self.law.constants().items()
-        }
-        for name, number in numbers.items():
-            head, _, index = name.partition("[")
-            if isinstance(value := tops.get(head), list):
-                value[int(index.rstrip("]"))] = number
-            elif name in tops:
-                tops[name] = number
-        return float(self.law.with_values(tops).shear())
+        given = self.law.constants()
+        own = {name: x for name, x in numbers.items() if name.partition("[")[0] in given}
+        return float(self.law.with_values(changed_tables(given, own, frozenset())).shear())
 
 
 class _Penalised:
